@@ -32,8 +32,7 @@ class TetractlError(Exception):
         message: What is wrong, in one line.
         hint: What to do. None without a hint.
         in_python: The hint in Python, where options of the command line do not exist. None if it
-            is
-            the same.
+            is the same.
     """
 
     exit = Exit.FAILED

@@ -88,8 +88,7 @@ class AbortCause:
 
         Returns:
             A message for the operator. Empty if the suspected robot itself is the cause, or if
-            fewer
-            than two robots were tracked throughout.
+            fewer than two robots were tracked throughout.
         """
         ends = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
         robots = [i for i, pair in enumerate(ends) if None not in pair]  # shown throughout

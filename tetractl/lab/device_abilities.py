@@ -23,8 +23,7 @@ class HearsDirections(Protocol):
         Args:
             direction: The direction.
             sent_ns: The time of sending, on the run's clock [ns]. The thread of the inner loop
-                calls
-                this method.
+                calls this method.
         """
         ...
 

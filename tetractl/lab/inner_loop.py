@@ -152,8 +152,7 @@ class InnerLoop:
 
         Raises:
             AbortError: If no robot may move any more, with the guard's reason, or if the loop
-                stays
-                within a step for too long.
+                stays within a step for too long.
         """
         with self.between_steps() as guard:
             guard.start_run(self._clock.now())

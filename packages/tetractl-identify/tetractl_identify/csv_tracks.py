@@ -42,7 +42,7 @@ from tetractl_identify.tracks import Track
 POSES_MAX = 2_000_000  # largest number of poses of a trial
 ROBOTS_MAX = 1000
 TRIALS_MAX = 10_000
-"""Largest numbers of robots and trials in CSV files."""
+"""Maximum number of trials in CSV files. ROBOTS_MAX is that of robots."""
 ORIGIN = "CSV"
 ONE_ROBOT = "robot"
 """The name of the robot of a table that names none."""
@@ -63,29 +63,39 @@ If a table has the columns of several kinds, it is of the first of them.
 UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
 """The units in which a column may be instead of that in FORMS."""
 AGAIN = 0.1
-"""Fraction of the time so far, from its begin, within which a time that falls starts again."""
+"""Maximum distance of a time that falls from the first time, if it is a new start.
+
+It is relative to the time that has elapsed since the first time.
+"""
 COLUMNS_SHOWN = 8
-"""Largest number of columns that a message names."""
+"""Maximum number of columns that a message names."""
 BOTH_FILES = "name both files, such as the poses.csv and steps.csv that `tetractl export` writes"
 FORMAT = "docs/how-to/identify.md describes the format"
-"""Hints."""
+"""Hint that names the description of the format."""
 PAUSE_MAX_S = 86_400.0
-"""Longest time without a pose in a recording [s]: a day."""
+"""Maximum time without a pose in a recording [s]: a day."""
 APART_MAX_S = 2.0
 """Maximum of the median time between two poses of a robot [s]."""
 NO_MEASUREMENT = 0.01
-"""Fraction of a robot's poses that are no measurement, above which a remark says so."""
+"""Fraction of a robot's poses that are no measurement, above which a remark reports it."""
 
 POSE_ROW = np.dtype([("time", float), ("robot", float), ("pose", float, 3)])
-"""A row of a table of poses: `robot` is a number, and `pose` is x, y and heading."""
+"""A row of a table of poses.
+
+`time` is in s, `robot` is the robot's number, and `pose` is x, y and heading [rad].
+"""
 DIRECTION_ROW = np.dtype([("time", float), ("direction", float), ("observed", float)])
-"""A row of a table of directions: `observed` is when the poses were that a direction is for."""
+"""A row of a table of directions [rad].
+
+`observed` is the time of the poses from which the direction was decided, and `time` that of the
+direction itself [s].
+"""
 TWIST_ROW = np.dtype([("time", float), ("speed", float), ("turning_rate", float)])
-"""A row of a table of speeds."""
+"""A row of a table of speeds and turning rates [rad/s]. `time` is in s."""
 
 Trial = tuple[str, str]
 Series = tuple[str, str]
-"""Rows in the order of their times: what they state, and of which robot."""
+"""Rows whose times must rise: the kind of the rows, and the robot."""
 
 
 @dataclass(slots=True)
@@ -245,7 +255,7 @@ ADD = {
     OF_WHEELS: _add_speeds,
     POSES: _add_pose,
 }
-"""What adds a row of each kind of table to the numbers of its trial."""
+"""Functions that add a row to the numbers of its trial, by the kind of table."""
 
 
 def csv_tracks(paths: list[Path]) -> list[Track]:

@@ -36,9 +36,9 @@ LONGEST = 2.2
 It must also last LONGEST_S [s] or more: then the robot was not seen.
 """
 FAR = 8.0
-"""How far off a step is that is left out, in standard deviations."""
+"""Distance from the expected motion above which a step is left out [standard deviations]."""
 NEIGHBOURS = 5
-"""How many steps earlier or later commands may act than they seem to at first."""
+"""Number of steps by which commands may act earlier or later than they seem to at first."""
 CLOCKS_S = np.arange(-200, 201) / 20
 """Delays that are tried, minus the expected one [s]."""
 PEAK = 5

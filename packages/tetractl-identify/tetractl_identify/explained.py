@@ -28,11 +28,14 @@ from tetractl_identify.pose_steps import Complex
 HALF = 0.5
 """Fraction of the motion below which the commands and the poses do not belong together."""
 SURE = 3.0
-"""Standard deviations of the noise's sum of squares above which motion is significant."""
+"""Excess of a motion over the noise above which it is significant.
+
+It is the number of standard deviations of the noise's sum of squares.
+"""
 WINDOW_S = 1.0
 """Duration of the windows over which steps are added [s]."""
 CHECKLIST = "work through the checklist in docs/how-to/identify.md"
-"""A hint."""
+"""Hint that names the checklist."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +80,7 @@ def explained(
         asked: Steps that the commands ask for, shape (M,).
         noise: Standard deviation of each component of a pose.
         windows: Index of the window that contains each step, shape (M,). The steps of a window
-            follow
-            one another without a gap.
+            follow one another without a gap.
     """
     components = 2 if np.iscomplexobj(measured) else 1
     by_scale: list[Explained] = []

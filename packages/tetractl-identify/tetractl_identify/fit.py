@@ -11,8 +11,7 @@ Then it does at least ROUNDS rounds. Each round passes over all tracks twice:
   measurement noise and the random walks, for a Newton step;
 - with dead times around the most likely one. A parabola through the likelihoods gives the dead time
   (its maximum) and its standard deviation (its width). The same pass gives each robot's a, speed
-  and
-  bias with their deviations.
+  and bias with their deviations.
 
 The filter estimates a, speed and bias as constant states with wide priors. The likelihood is
 therefore the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the
@@ -59,7 +58,7 @@ RATES = (1.0, 0.4, 2.5)
 """Factors on the expected a, from which the first pass starts."""
 REACH_S = 0.3
 APART_S = 0.02
-"""Half width and spacing of the first pass's dead times [s]."""
+"""Spacing of the first pass's dead times [s]. REACH_S is half the width of their range."""
 SEARCHED_FROM_S = -0.5
 """Minimum of the dead times that are searched if it is unknown [s]."""
 SEARCHED_UNTIL_S = 2.0
@@ -75,16 +74,22 @@ FIRST_STD = np.array([0.5, 0.5, 0.2])
 MOST_STD = np.array([2.0, 0.5, 1.0])
 """Maximum prior standard deviations of ln a, ln of the speed and bias [rad] in any pass."""
 WIDER = 10.0
-"""Prior standard deviation of a pass, over the deviation after the pass before."""
+"""Prior standard deviation of a pass, relative to the deviation after the previous pass."""
 POINTS = np.arange(-2.0, 3.0)
-"""Dead times of a parabola, less the likeliest so far, in its standard deviations."""
+"""Dead times through which a parabola is fitted.
+
+They are differences from the likeliest dead time so far, in its standard deviations.
+"""
 SHRINKS_TO = 0.2
 GROWS_TO = 5.0
-"""Minimum and maximum new standard deviation of the dead time over the one before."""
+"""Maximum ratio of the new standard deviation of the dead time to the previous one.
+
+SHRINKS_TO is the minimum.
+"""
 UNKNOWN_S = 0.3
-"""Standard deviation from which a dead time counts as unknown."""
+"""Standard deviation from which a dead time counts as unknown [s]."""
 LN_MOST = 50.0
-"""Greatest ln of a noise over the usual one."""
+"""Maximum logarithm of the ratio of a noise to the usual one."""
 NOISE_PRIOR_STD = 5.0
 """Prior standard deviation of the noise's parameters."""
 CERTAIN_STD = 1e-6
@@ -98,16 +103,22 @@ If necessary, they are shorter. For 10 runs of real robots, deviations of gains 
 10, 20, 30 and 60 s are in the ratio 0.7, 0.9, 1, 1.05 and 1.1.
 """
 DEAD_TIME = 7
-"""Slot of the dead time after a robot's other parameters: noise, ln a, ln of the speed and bias."""
+"""Index of the dead time among a robot's parameters.
+
+The other seven precede it: noise, ln a, ln of the speed and bias.
+"""
 FAR = np.array([3.0, 1.0, 1.5])
-"""Half widths from which ends of ln a, ln speed, bias are unknown."""
+"""Half widths of the intervals of ln a, ln speed and bias [rad] above which they are unlimited."""
 LAGS = 5
 DOUBT = 0.001
-"""Lags of the test of residuals, and its level."""
+"""Significance level of the test of residuals. LAGS is the number of its lags."""
 CLIPPED = 4.0
-"""Residuals are clipped at so many standard deviations."""
+"""Magnitude to which larger residuals are clipped [standard deviations]."""
 RESOLVED_S = 1e-3
-"""Dead time below 0 that is none [s]."""
+"""Time below 0 that no recording distinguishes from 0 [s].
+
+If the interval of a dead time ends above -RESOLVED_S, its part below 0 is cut off.
+"""
 RESOLVED = 1e-3
 """Standard deviation of heading residuals below which no camera shows a misfit [rad]."""
 DELAY_S = 7e-4
@@ -405,7 +416,11 @@ class _Fit:
         return self._dead_time_interval(), tuple(robots)
 
     def _dead_time_interval(self) -> SampleInterval:
-        """Compute the dead time with its interval. The interval stays at or above 0 if possible."""
+        """Compute the dead time and its interval [s].
+
+        The interval has no upper end if the dead time counts as unknown. It is cut off at 0 if its
+        upper end is above -RESOLVED_S.
+        """
         reach = NORMAL * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
         least = 0.0 if self.tau + reach >= -RESOLVED_S else -np.inf
         ends = self.tau, self.tau - reach, self.tau + reach

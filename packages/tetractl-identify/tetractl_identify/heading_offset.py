@@ -25,7 +25,10 @@ from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, robust_gains
 SLOWEST = 0.2
 """Minimum speed in w / v, relative to the median speed: slow steps say little of the angle."""
 CLIP = 3.0
-"""Standard deviations above which an angle counts less, as much as one that is so far off."""
+"""Number of standard deviations beyond which an angle has less weight.
+
+It counts as much as an angle that is so far off.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +60,8 @@ def heading_offset(steps: DrivenSteps, in_one_ratio: bool) -> SampleInterval:
 
     Returns:
         The angle, anticlockwise from the heading, with the 95 % interval that the differences
-        between
-        blocks require. If the robot does not move, or if speed and turning rate were sent in one
-        ratio, the result is the mean angle with an interval from -pi to pi.
+        between blocks require. If the robot does not move, or if speed and turning rate were sent
+        in one ratio, the result is the mean angle with an interval from -pi to pi.
     """
     sense = np.sign(steps.way_sent)
     motion = sense * steps.moved
@@ -87,8 +89,7 @@ def _first_gain(causes: Floats, effect: Floats, block: Integers) -> tuple[float,
 
     Returns:
         The gain, and its standard deviation by the jackknife over blocks. The deviation is scaled
-        so
-        that NORMAL times its value gives a 95 % interval.
+        so that NORMAL times its value gives a 95 % interval.
     """
     scale = np.linalg.norm(causes, axis=0) + 1e-300
     scaled = causes / scale

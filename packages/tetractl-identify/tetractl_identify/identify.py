@@ -39,7 +39,7 @@ INTERVALS_MIN = 20
 STEP_S = 0.1
 """Minimum duration of the steps by which distances are compared [s]."""
 UNKNOWN_A = 3.0
-"""Prior a if the log states no value [rad/s]."""
+"""Expected turning rate a if the log states no value [rad/s]."""
 QUANTITIES = {
     "a": "rad/s",
     "speed": "{unit}/s",
@@ -56,11 +56,11 @@ No direction is further from a straight line over time than this, nor from the p
 Steps of .4 rad suffice to distinguish a from the dead time.
 """
 TURN_LEAST = 1.0
-"""By how much directions that turn uniformly turn at least [rad]."""
+"""Minimum angle by which directions that turn uniformly turn in total [rad]."""
 UNIFORM_RATES = 1.1
-"""Factor between the rates of tracks below which they are one."""
+"""Maximum ratio of the turning rates of two tracks that count as one rate."""
 _ABREAST = 3
-"""Largest number of robots in one table."""
+"""Maximum number of robots in one table."""
 DECIMALS_MAX = 6
 DECIMALS_OF_EXACT = 3
 """Decimals of a value whose interval has no width, or no known end."""

@@ -17,9 +17,12 @@ from tetractl.core.poses import Bools, Floats, Integers, wrap
 REPEATS_MIN = 2
 """Minimum number of repeats in a row that are no measurement."""
 RELEASE = 2.5
-"""Usual ways or turns between two poses, above which a robot has moved while its pose repeated."""
+"""Distance or turn between two poses above which a robot has moved while its pose repeated.
+
+It is relative to the usual distance or turn.
+"""
 LEAP = 10.0
-"""Usual speeds, above which a way between two poses is a jump."""
+"""Speed above which a distance between two poses is a jump, relative to the usual speed."""
 TURN = 0.5
 TURN_RATE = 4.0
 TURN_MOST = 2.2
@@ -39,14 +42,14 @@ FAST = 0.9
 Two in five turns may be to and from a flipped heading.
 """
 MEDIAN_BEND = 1.442
-"""Median distance of a place from the middle of its neighbours, relative to the noise of each.
+"""Median distance of a position from the mean of its neighbours, relative to its noise.
 
-It is 1.177 sqrt(1.5).
+It is 1.177 sqrt(1.5) if all three have the same noise.
 """
 SURE_NOISE = 10.0
-"""Standard deviations of the noise that two places may be apart."""
+"""Maximum distance of two positions that noise alone explains [standard deviations]."""
 LEAST_WAY = 1e-9
-"""Way below which nothing is a jump [length unit]."""
+"""Distance below which nothing is a jump [length unit]."""
 
 
 def measured(times: Floats, poses: Floats) -> Bools:

@@ -42,7 +42,7 @@ ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 HEADER_ROWS = 10
 """Maximum number of lines above the numbers."""
 Z_UP = 0.25
-"""Maximum variance along z if z is up, over the variance along y."""
+"""Ratio of the variances along z and y from which z is not the vertical axis."""
 
 
 def table_rows(path: Path) -> Iterator[CsvRow]:

@@ -32,15 +32,15 @@ from tetractl.model.motion.motion import PARAMETERS
 from tetractl_identify.tracks import Track, rows_apart
 
 SHORTEST_S = 0.035
-"""Shortest interval: a frame that follows sooner is left out."""
+"""Minimum time between two frames [s]. A frame that follows sooner is left out."""
 DRIVING = 0.5
 """A robot drives if it travels at least this fraction of its usual distance."""
 DIRECTIONS_MAX = 10_000
-"""Largest number of directions between two frames."""
+"""Maximum number of directions between two frames."""
 UNSEEN_S = 0.3
-"""Time without a pose after which a row restarts from the camera's next pose."""
+"""Time without a pose after which a row restarts from the camera's next pose [s]."""
 AT_REST_S = 0.3
-"""Time before it drives at which a robot with lagging wheels certainly stands."""
+"""Time before it drives at which a robot with lagging wheels certainly stands still [s]."""
 WANDER_S = 1.0
 """Duration of the blocks whose speeds are compared [s]."""
 INNER = (0.3, 0.7)
@@ -50,7 +50,7 @@ A speed that changes in the middle of a trial is beyond both. A speed that a rad
 than a third of its seconds is beyond none.
 """
 INNER_STDS = 1.049
-"""How far these are apart for a normal distribution [standard deviations]."""
+"""Distance between the quantiles INNER of a normal distribution [standard deviations]."""
 STANDS = 0.5
 """Fraction of its usual speed below which a robot nearly stands still."""
 STANDS_S = 0.2

@@ -10,9 +10,12 @@ from tetractl.core.poses import Bools, Floats, wrap
 
 DEVIATIONS_ROUNDS = 20
 LEAST_DEVIATION = 1e-4
-"""Rounds of `robust_gains`, and the minimum deviation in them, relative to the mean measurement."""
+"""Minimum deviation in `robust_gains`, relative to the mean measurement.
+
+DEVIATIONS_ROUNDS is the number of its rounds.
+"""
 STD_OF_MEDIAN = 1.48
-"""Standard deviation of normal numbers over the median of their magnitudes."""
+"""Standard deviation of normal numbers, relative to the median of their magnitudes."""
 
 Complex = NDArray[np.complex128]
 

@@ -52,7 +52,7 @@ from tetractl_identify.tracks import Track
 CLIP = 3.0
 """Standard deviations at which residuals are clipped for a first estimate of the noise."""
 GRID_DEAD_TIMES_S = np.arange(-0.25, 0.26, 0.05)
-"""Dead times from which the search may start, less that of the start [s]."""
+"""Dead times from which the search may start, relative to that of the start [s]."""
 GRID_TURNING_LAGS_S = np.array([0.03, 0.1, 0.3])
 """Lags of turning from which it may start [s]; that of speed starts at its unit."""
 LAG_UNIT_S = 0.1
@@ -81,9 +81,12 @@ PRIOR_STD = 5.0
 ONE_RATIO_STD = 0.3
 """Deviation of the gains, relative to them, if speed and turning rate are sent in one ratio."""
 UNKNOWN = 5.0
-"""Half width of the interval of a logarithm from which the data do not bound the value."""
+"""Half width of the interval of a logarithm above which the data do not limit the value."""
 UNKNOWN_S = 0.45
-"""Half width of the interval of the dead time that its prior alone makes, nearly [s]."""
+"""Half width of the interval of the dead time above which the data do not limit it [s].
+
+It is nearly the half width that follows from the prior alone.
+"""
 RESOLVED_S = 1e-3
 """Standard deviation of times that no recording resolves [s]."""
 RESOLVED_GAIN = 1e-3

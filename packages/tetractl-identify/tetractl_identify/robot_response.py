@@ -22,10 +22,10 @@ from tetractl_identify.unusual import (
 )
 
 SAME_LAG_S = 0.02
-"""How well a lag has to be known to be of use in a spec [s]."""
+"""Maximum error of a lag that is useful in a spec [s]."""
 SHORTEST_LAG_S = 1e-3
 LONGEST_LAG_S = 10.0
-"""Shorter and longer lags are taken for these [s]."""
+"""Maximum width of a lag's interval in its weight [s]. SHORTEST_LAG_S is the minimum."""
 DRIFT_S = 0.1
 """Minimum difference of two clocks at the end of a recording that the table names [s]."""
 DETERMINED = ("dead_time", "turning_lag", "speed_lag", *GAINS, "veer")

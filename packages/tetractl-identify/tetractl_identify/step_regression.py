@@ -19,7 +19,7 @@ from tetractl_identify.driven_steps import DEAD_TIME_UNIT_S, UsedSteps
 from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
 
 LN_MOST = 25.0
-"""Maximum magnitude of the logarithm of a parameter over its unit: beyond it, numbers overflow."""
+"""Maximum magnitude of the logarithm of a parameter in its unit: beyond it, numbers overflow."""
 TURN_ERROR_RAD = 5e-4
 """Standard deviation by which the model errs in a turn [rad]."""
 WAY_ERROR = 0.005
@@ -38,7 +38,7 @@ OTHER_PRIOR_STD = 1.0
 The prior is around 0, relative to the motion, and so wide that it hardly matters.
 """
 NOTHING = 1e-6
-"""Factor on this deviation if the data cannot tell the two integrals apart."""
+"""Factor on this deviation if the data cannot distinguish the two integrals."""
 
 
 @dataclass(frozen=True, slots=True)

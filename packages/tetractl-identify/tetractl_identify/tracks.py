@@ -13,7 +13,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.wheels import body_velocity
 
 SETTLED_S = 0.5
-"""Time from the first direction after a pause until all robots drive again."""
+"""Time from the first direction after a pause until all robots drive again [s]."""
 ROUNDING_S = 1e-6
 """How much shorter a time between two poses may be because of rounding [s].
 

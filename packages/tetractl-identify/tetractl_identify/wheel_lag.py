@@ -26,11 +26,17 @@ A host that predicts their lag makes robots turn as if a longer lag were about t
 """
 NEAR_S = 0.05
 APART_S = 0.0025
-"""How far from the expected one dead times are tried, and how far apart [s]."""
+"""Spacing of the dead times that are tried [s].
+
+NEAR_S is their maximum distance from the expected one.
+"""
 BLOCK = 20
-"""Number of turns, 1 s or more, of the blocks whose differences say how sure a sum is."""
+"""Number of turns in a block, 1 s or more.
+
+The differences between blocks show how certain a sum over them is.
+"""
 SURE = 1.65
-"""Standard deviations by which turns without a lag must fit better: 95 %, one-sided."""
+"""Number of standard deviations by which turns without a lag must fit better: 95 %, one-sided."""
 
 
 def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:

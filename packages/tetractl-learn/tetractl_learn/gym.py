@@ -50,13 +50,13 @@ noise.
 BENCHMARKS = "benchmark"
 """The folder of the shipped specs that are registered."""
 SEEDS = 2**31
-"""Number of seeds from which `reset` draws one if none is given."""
+"""Number of seeds from which `reset` samples one if none is given."""
 
 RENDER_MODES = ["rgb_array"]
 """The modes of Gymnasium in which an environment shows itself."""
 
 Features = NDArray[np.float32]
-"""What a learner sees, (4 N + 2,)."""
+"""Observation of a learner, shape (4 N + 2,)."""
 
 
 class TrialEnv(gymnasium.Env[Features, Features]):

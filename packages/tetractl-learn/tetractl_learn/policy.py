@@ -37,7 +37,7 @@ from tetractl.spec.yaml.problems import Loc
 from tetractl_learn.weights import Layer, read_weights
 
 OUTPUTS = 2
-"""The components of the direction, along x and y."""
+"""Number of outputs of a policy: the components of the direction along x and y."""
 
 
 def features_of(robots: int) -> int:

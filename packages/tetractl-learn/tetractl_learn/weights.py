@@ -22,11 +22,14 @@ from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem
 from tetractl.spec.yaml.spec_files import read_text
 
 WIDTH_MAX = 1000
-"""Largest number of inputs or outputs of a layer."""
+"""Maximum number of inputs or outputs of a layer."""
 FILE_MAX_BYTES = 16 << 20
-"""Largest file of weights: two hidden layers of 400 in plain digits are 4 MB."""
+"""Maximum size of a file of weights [bytes].
+
+Two hidden layers of 400 in plain digits are 4 MB.
+"""
 LITTLE_ENDIAN = "<f8"
-"""The numbers of a layer in a spec: 64-bit floats, the same bytes on every computer."""
+"""Format of the numbers of a layer in a spec: 64-bit floats, the same bytes on every computer."""
 
 
 class Layer(Model):

@@ -31,7 +31,7 @@ from tetractl.statistics.estimate import Interval, distributions, proportion_int
 CONFIDENCE = 0.95
 """Confidence of all intervals here."""
 _ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-"""Probabilities below the ends of such an interval."""
+"""Probabilities below the lower and upper end of an interval of this confidence."""
 
 
 class Fate(StrEnum):
@@ -111,7 +111,7 @@ def deviation_of(values: Floats) -> OurNumber:
 # ---- What can be asked of them ----
 
 Decide = Callable[[OurNumber], Fate]
-"""Returns the verdict on the number of our trials."""
+"""Function that returns the verdict on the number of our trials."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,13 +28,16 @@ from tetractl_papers.paper import Paper, Runs
 AS_PUBLISHED = "controller={type: pso-mpc, horizon_max: 70, obstacle_weight: 5000, time_limit: 60}"
 EARLIER = "controller={type: ensemble, arrival_tolerance: 20, time_limit: 400}"
 UNDISTURBED = "plant.motion=euler"
-"""The plant moves by the equations (4)-(6) by which the controller predicts."""
+"""Setting with which the plant moves by the equations (4)-(6).
+
+The controller predicts with the same equations.
+"""
 FIRST_SEARCH = (
     UNDISTURBED,
     "controller.steps_max=1",
     "controller.optimizer.stop={type: budget}",
 )
-"""Only the searches of step 0, with all 100 iterations."""
+"""Settings with which only the searches of step 0 run, with all 100 iterations."""
 SQUARE_SIDES_DEG = (90, 180, -90, 0)
 """The directions of section IV-B.1, a quarter turn apart, for robots that start at 0.
 
@@ -65,7 +68,10 @@ ARMS = {
 }
 
 ONE_PERIOD_MM = (180 + 200 + 150) * 0.2
-"""What the three robots drive in one control period [mm]: as near as "at the targets" can mean."""
+"""Distance that the three robots drive together in one control period [mm].
+
+"At the targets" cannot mean a smaller total error than about this distance.
+"""
 PUBLISHED_MEAN = "648.6 mm (543.2 to 754.0, n 20); 858.8 mm in the run of Fig. 5"
 PUBLISHED_DEVIATION = "225.1 mm (171.2 to 328.8, n 20)"
 """With their 95 % intervals, of normal values: Student's t, and chi-square."""

@@ -10,7 +10,7 @@ from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.log.read.trial_log import TrialLog
 
 REVERSAL = 0.3
-"""A field that turns back by up to this angle [rad] has not changed its sense."""
+"""Maximum angle by which a field may turn back without changing its sense of rotation [rad]."""
 EARLY = 10
 """Number of iterations in which J falls quickly."""
 

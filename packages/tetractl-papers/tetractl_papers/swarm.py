@@ -32,7 +32,7 @@ SHOWN = (0.0, 0.25, 1.0)
 MANY = 200
 """Number of particles beyond which they are drawn smaller."""
 LIMIT = 1.04 * np.pi
-"""Limit of the axes [rad]: a little beyond the signals, so that dots are whole."""
+"""Limit of the axes [rad], slightly beyond the signals so that dots are drawn whole."""
 
 
 @style.styled()

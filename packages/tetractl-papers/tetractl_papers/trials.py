@@ -16,7 +16,10 @@ SEED = 20261128
 """The root seed of all trials."""
 
 RunBatch = Callable[[LoadedSpec, Path], object]
-"""Runs the trials of a spec that a folder lacks, as `tetractl.run_batch` with `resume` does."""
+"""Function that runs the trials of a spec that a folder lacks.
+
+`tetractl.run_batch` with `resume` does the same.
+"""
 
 
 def run_arms(

@@ -40,9 +40,9 @@ from tetractl_ros2.topic_port import TopicPort, ports_of
 from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
 
 BASE_FRAME = "base_link"
-"""The frame of a TwistStamped: the robot's own."""
+"""Frame of a TwistStamped, which is the robot's own frame."""
 WORLD = "world"
-"""The frame of a direction: the spec's axes."""
+"""Frame of a direction, which has the axes of the spec."""
 EMPTY = 10.0
 """Charge below which a robot would soon stop [%]."""
 HINT = "is the robot's driver running, and in the same ROS domain?"

@@ -88,7 +88,10 @@ class Ros2Camera:
         self._message = POSES[section.message]
         self._at_once = section.message == "NamedPoseArray"
         self._not_shown: dict[int, Pose | None] = {}
-        """What a message tells of the robots that it does not show: they are not tracked."""
+        """Readings of the robots that a message does not contain: they are not tracked.
+
+        It is empty if each robot has its own messages.
+        """
         if self._at_once:
             self._not_shown = dict.fromkeys(range(len(robots)))
         self._group = FrameGroup(len(robots))
@@ -116,6 +119,9 @@ class Ros2Camera:
         """Subscribe to the topics, and wait until every robot has a pose.
 
         If only some robots have a pose after FIRST_S, the method returns anyway.
+
+        Raises:
+            AbortError: No pose at all arrived by then, or a topic cannot be opened.
         """
         try:
             for port in (*self._ports, self._marker):
@@ -235,7 +241,7 @@ class Ros2Camera:
                 self._emulated = self._emulated or Bool.deserialize(data).data
 
     def _hear(self, topic: int, data: bytes, at_ns: int) -> None:
-        """Process a message of a topic. None as data means that the topic's port has failed."""
+        """Process a message of a topic. Empty `data` mean that the topic's port has failed."""
         with self._lock:
             if not data:
                 self._take_failure(topic, at_ns)

@@ -24,7 +24,7 @@ class RobotReading:
 
 
 NOTHING = RobotReading(None, 0)
-"""What is known of a robot before its first reading."""
+"""Reading of a robot before its first reading."""
 Readings = tuple[RobotReading, ...]
 """The last readings of all robots, in the setup's order."""
 

@@ -23,7 +23,10 @@ from tetractl.spec.lab_section import (
 from tetractl.spec.yaml.problems import Loc
 
 BODY = "{body}"
-"""In the name of a topic: stands for each robot's `body`, so that each robot has its own topic."""
+"""Placeholder in the name of a topic for each robot's `body`.
+
+With it, each robot has its own topic.
+"""
 NAME = re.compile(r"(/[A-Za-z_{][A-Za-z0-9_{}]*)+")
 DIRECTION = "Vector3Stamped"
 """The message of robots that steer themselves by the common direction."""

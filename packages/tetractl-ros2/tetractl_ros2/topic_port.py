@@ -46,21 +46,26 @@ from tetractl.lab.udp_port import hold
 SCHEME = "ros2://"
 """Beginning of a port's name: ros2://DOMAIN/TOPIC."""
 PREFIX = "rt"
-"""What ROS 2 puts before the name of a topic in DDS."""
+"""Prefix that ROS 2 adds to the name of a topic in DDS."""
 DISCOVERY_S = 3.0
 """Maximum time to wait for the other nodes of a topic [s]. Nodes on one network find each other
 within some 0.1 s."""
 WAIT_NS = 100 * MILLISECOND
-"""How long a thread waits for messages before it looks whether its port is being closed [ns]."""
+"""Maximum time that a thread waits for messages [ns].
+
+Then it checks whether its port is closed.
+"""
 MESSAGES_MAX = 100
 """Maximum number of messages that are taken at once, and that a subscription keeps."""
 PUBLISHERS_MAX = 1000
-"""Maximum number of publishers of a graph that are looked at."""
+"""Maximum number of publishers of a graph that are examined."""
 BLOCKING_NS = 20 * MILLISECOND
 """Maximum time for which a write may wait for a slow subscriber [ns]."""
 UNDECODABLE = b"\xff"
-"""What a subscription passes on for a message that is not of the topic's type. It cannot be decoded
-either, so whoever takes it counts it as unreadable."""
+"""Data that a subscription passes on for a message that is not of the topic's type.
+
+They cannot be decoded either, so that the receiver counts the message as unreadable.
+"""
 
 _participants: WeakValueDictionary[int, DomainParticipant] = WeakValueDictionary()
 _participants_lock = threading.Lock()

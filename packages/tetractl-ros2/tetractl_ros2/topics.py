@@ -30,7 +30,7 @@ COMMANDS: dict[str, type[IdlStruct]] = {
     "Vector3Stamped": Vector3Stamped,
 }
 EMULATED = "/tetractl/emulated"
-"""The topic at which an emulated tracker says that it is not real."""
+"""Topic on which an emulated tracker reports that it is not real."""
 
 
 def pose_topics(section: Ros2CameraSection, setup: Setup, publishes: bool = False) -> list[Topic]:

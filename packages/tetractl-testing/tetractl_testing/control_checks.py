@@ -33,11 +33,11 @@ from tetractl_testing.expect import SEED, expect, near, random_watched, same, tr
 STEPS_MAX = 3
 """Number of control periods of a simulation before its time limit."""
 LENGTHS = (1, 12)
-"""Numbers of signals that are searched for, from nothing and from a warm start."""
+"""Numbers of signals of the checked searches, each without and with a warm start."""
 EXTRA_EVALUATIONS = 5
-"""Evaluations beyond the least number in the budget of a search."""
+"""Number of evaluations by which a search's budget exceeds the minimum."""
 SIGNAL_MAX = math.pi + 1e-12
-"""Largest magnitude of a signal, rounded [rad]."""
+"""Maximum magnitude of a signal, with rounding [rad]."""
 CLOCKS = frozenset(
     {
         time.time,

@@ -37,28 +37,28 @@ from tetractl.spec.section_abilities import OnPort
 from tetractl_testing.expect import expect, near, true
 
 EMULATED_S = 120.0
-"""Time in which an emulated device must do what it shall, on a host that is busy [s]."""
+"""Maximum time until an emulated device does what is expected, on a busy host [s]."""
 REAL_S = 5.0
-"""Time in which frames of a real camera must come [s]."""
+"""Maximum time until frames of a real camera arrive [s]."""
 FRAMES = 10
 """Number of frames that are examined."""
 LEFT_NS = SECOND // 20
 """Time after which a camera that was left must have no new frame [ns]."""
 PLACE_M = 0.005
-"""Largest distance between a pose and the true one [m]."""
+"""Maximum distance between a measured position and the true one [m]."""
 HEADING = 0.05
-"""Largest difference between a heading and the true one [rad]."""
+"""Maximum difference between a measured heading and the true one [rad]."""
 HEIGHT_M = 0.06
 """Height of the body of a robot on the floor [m], within a range of `HEIGHT_BAND_M`."""
 HEIGHT_BAND_M = 0.05
 TILT_MAX = 0.2
-"""Largest tilt of a robot on the floor [rad]."""
+"""Maximum tilt of a robot on the floor [rad]."""
 TURNING = 0.2
-"""Largest difference of a turning rate from that of equation (3), over the largest rate."""
+"""Maximum error of a turning rate against equation (3), relative to the largest rate."""
 SPEED = 0.1
-"""Largest relative difference of a speed from the spec's."""
+"""Maximum relative difference of a speed from the spec's."""
 DIRECTION = 0.5
-"""Direction in which robots are steered where any would do [rad]."""
+"""Direction in which robots are steered where any direction would do [rad]."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ FITS = {
     "measured": "finite where valid",
     "received": "not before the exposure, and None only if loses_frames is set",
 }
-"""What the result of each method must be; `_fits` tells whether it is."""
+"""Requirements for the result of each method, as messages state them."""
 
 
 Call = tuple[bool, bool, Floats]

@@ -22,7 +22,7 @@ SEED = 20
 COUNT = 200
 """Number of random cases in a check."""
 NEAR = 1e-6
-"""Relative error up to which two results agree."""
+"""Maximum relative error of two results that agree."""
 TINY = 1e-300
 """Minimum scale that a difference is divided by."""
 

@@ -21,7 +21,7 @@ from tetractl_testing.expect import COUNT, NEAR, SEED, expect, near, same, true
 STEP = 1e-6
 """Step of a central difference: of an angle [rad], or relative of a parameter."""
 SLOPE = 1e-4
-"""Relative error up to which a derivative is a central difference."""
+"""Maximum relative error of a derivative against a central difference."""
 STEP_S = 0.2
 """Duration of a step [s]."""
 TURNED = 1.0

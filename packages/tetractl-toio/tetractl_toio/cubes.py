@@ -21,7 +21,10 @@ HINT = (
 )
 SPEED = 1_000_000  # bits a second of Bluetooth Low Energy
 Listener = Callable[[int, bytes, int], None]
-"""Takes characteristic, data and time of arrival [ns] of a notification, in a port's thread."""
+"""Function that is called with each notification, in a port's thread.
+
+Its arguments are the number of the characteristic, the data and the time of arrival [ns].
+"""
 
 
 class Cubes:

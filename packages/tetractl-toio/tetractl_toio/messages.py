@@ -16,7 +16,7 @@ from tetractl.core.errors import WireError
 
 SERVICE = "10b20100-5b3b-4571-9508-cf3efcd7bbae"
 SPEED_MAX = 115
-"""Largest motor speed that a cube takes."""
+"""Maximum motor speed that a cube accepts."""
 SPEED_MIN = 8
 """Minimum motor speed at which its wheels turn."""
 WHEEL_MM_S = 4.3 / 60 * math.pi * 12.5
@@ -24,9 +24,12 @@ WHEEL_MM_S = 4.3 / 60 * math.pi * 12.5
 RADIUS_MM = 13.3
 """Distance from a wheel to the cube's centre [mm]: its wheels are 26.6 mm apart."""
 MAT_MM = 1.36
-"""A unit of the mat's coordinates [mm]."""
+"""Length of a unit of the mat's coordinates [mm]."""
 TOGETHER_S = 0.003
-"""Messages within this time are of one event of the connection, of which two are 7.5 ms apart."""
+"""Maximum time between messages of one event of the connection [s].
+
+Two events are 7.5 ms apart.
+"""
 POSITION = 0x01  # first byte of a notification of a pose
 MISSED = 0x03  # first byte of one that says that no mat is seen
 LEFT_MOTOR = 1

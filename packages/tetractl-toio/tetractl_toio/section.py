@@ -90,7 +90,7 @@ class ToioSection(ActuatorSection):
     delay: float = Field(default=0.02, ge=0, le=0.2, allow_inf_nan=False)
     """Time from the sending of a command until the wheels follow it [s]."""
     speed_max_mm_s: Positive = Field(default=300.0, le=320)
-    """Largest wheel speed that is sent [mm/s]."""
+    """Maximum wheel speed that is sent [mm/s]."""
     battery_warn: float = Field(default=20.0, ge=0, le=100)
     """A warning is printed for a cube below this charge [%]."""
     robots: tuple[CubeOfActuator, ...] = Field(min_length=1, max_length=16)
@@ -120,10 +120,10 @@ class ToioSection(ActuatorSection):
 
         Args:
             name: The robot. Ignored, because all cubes are the same.
-            limit: A wheel speed in 127ths of the largest wheel speed.
+            limit: A wheel speed in 127ths of the maximum wheel speed, `speed_max_mm_s`.
 
         Returns:
-            The units for one 127th of the largest wheel speed, and the whole units for `limit`.
+            The units for one 127th of the maximum wheel speed, and the whole units for `limit`.
         """
         unit = self.speed_max_mm_s / WHEEL_MM_S / 127
         return unit, int(unit * limit)

@@ -30,9 +30,9 @@ FULL_MV = 5100
 EMPTY_MV = 4400
 """Voltage of an empty battery [mV]."""
 BATTERY_NS = SECOND // 2
-"""Time between two states of a battery [ns]."""
+"""Time between two messages of a battery [ns]."""
 NO_WATCHDOG_S = 1e6
-"""The watchdog's time of robots without one [s]: longer than any run."""
+"""Watchdog time of robots without a watchdog [s]: longer than any run."""
 NOT_OF_DDS = (
     *("baud", "bad_bytes", "overtaken_packets", "doubled_packets"),  # DDS numbers and checks
     *("stopped_elsewhere", "low_battery"),  # not every robot has these topics

@@ -33,9 +33,12 @@ from tetractl_ros2.section import Ros2CameraSection
 from tetractl_ros2.topics import emulated_topic, pose_topics
 
 EPOCH_NS = 1_700_000_000 * SECOND
-"""What the tracker's clock shows when the emulation's shows 0 [ns]: the two do not agree."""
+"""Time that the tracker's clock shows when the emulation's clock shows 0 [ns].
+
+The two differ, as the clocks of two computers do.
+"""
 MARKED = Bool(data=True).serialize()
-"""The message that says that the tracker is not real."""
+"""Message that states that the tracker is not real."""
 
 
 class EmulatedTracker(PoseStream):

@@ -3,17 +3,32 @@
 import threading
 import time
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from testkit.fakes import bench
 from testkit.hand_clock import HandClock
 
-from tetractl.core.clock import SECOND
-from tetractl.core.commands import Turn
-from tetractl.core.errors import AbortError, ControlError
-from tetractl.core.plan import Outcome
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Command, Stop, Turn
+from tetractl.core.errors import AbortError, ControlError, LogError
+from tetractl.core.plan import PAUSE_S, Outcome
+from tetractl.core.poses import Observation, Poses, Sample
+from tetractl.core.trial import Verdict
+from tetractl.run.control_loop import (
+    PAUSING_TEXT,
+    TURNING_TEXT,
+    FrameIntake,
+    Halt,
+    LoopEnd,
+    RobotMotion,
+    StepPacing,
+    how_it_ended,
+    motion_text,
+)
 
 PERIOD = SECOND // 5
 DECIDED = [Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.STEPS_MAX]
@@ -412,3 +427,139 @@ def test_after_an_overrun_the_steps_keep_their_distance(slow):
     sent = [when for when, _ in fakes.plant.steered]
     gaps = [later - earlier for earlier, later in pairwise(sent)]
     assert gaps == [PERIOD + slow, *[PERIOD] * 3]
+
+
+# ---- When steps are due ----
+
+PERIOD_S = 0.2
+PERIOD_NS = SECOND // 5
+
+
+def paced():
+    """A pacing that started at 3 s, and its clock."""
+    clock = VirtualClock()
+    clock.sleep_until(3 * SECOND)
+    pacing = StepPacing(clock, PERIOD_S)
+    pacing.start()
+    return pacing, clock
+
+
+@pytest.mark.parametrize(
+    ("late_ns", "next_ns"),
+    [
+        (0, PERIOD_NS),
+        (PERIOD_NS - 1, PERIOD_NS),  # it hurries to make up for it
+        (PERIOD_NS, 2 * PERIOD_NS),  # it cannot any more
+        (3 * PERIOD_NS, 4 * PERIOD_NS),
+    ],
+)
+def test_a_step_that_is_late_by_a_period_shifts_all_later_ones(late_ns, next_ns):
+    pacing, clock = paced()
+    clock.sleep_until(3 * SECOND + late_ns)
+    assert pacing.finish(0, pauses=False) == 3 * SECOND + next_ns
+    shift_ns = next_ns - PERIOD_NS
+    clock.sleep_until(3 * SECOND + next_ns)
+    assert pacing.finish(1, pauses=False) == 3 * SECOND + 2 * PERIOD_NS + shift_ns
+
+
+def test_a_pause_and_a_delay_shift_all_later_steps():
+    pacing, _ = paced()
+    pause_ns = round(PAUSE_S * SECOND)
+    assert pacing.finish(0, pauses=True) == 3 * SECOND + PERIOD_NS + pause_ns
+    assert pacing.finish(1, pauses=False) == 3 * SECOND + 2 * PERIOD_NS + pause_ns
+    pacing.delay(7)
+    assert pacing.finish(2, pauses=False) == 3 * SECOND + 3 * PERIOD_NS + pause_ns + 7
+
+
+def test_the_times_of_steps_do_not_drift_by_rounding():
+    pacing = StepPacing(VirtualClock(), 1 / 3)
+    pacing.start()
+    assert pacing.finish(2_999_999, pauses=False) == 1_000_000 * SECOND
+
+
+# ---- Which frames the controller gets ----
+
+
+class Frames:
+    """Stands for a plant that has frames."""
+
+    def __init__(self):
+        self.waiting = []
+
+    def samples(self):
+        samples, self.waiting = self.waiting, []
+        return samples
+
+
+def seen(*times):
+    """Samples of one robot, exposed at these times [ns]."""
+    poses = Poses.from_array(np.zeros((1, 3)))
+    valid = np.ones(1, bool)
+    return [Sample(Observation(t, t, t + 2, poses, valid), None) for t in times]
+
+
+def test_frames_between_two_steps_go_to_the_controller_once_and_to_observers_once():
+    plant = Frames()
+    intake = FrameIntake(plant)
+    plant.waiting = seen(10, 20, 30)
+    intake.take()
+    plant.waiting = seen(40, 50)
+    first, last = (sample.observation for sample in seen(10, 40))
+    between = intake.take_between(first, last)
+    assert [frame.sampled_ns for frame in between] == [20, 30]
+    assert [s.observation.sampled_ns for s in intake.hand_over()] == [10, 20, 30, 40, 50]
+    assert intake.hand_over() == []
+    plant.waiting = seen(60, 70)
+    (later,) = (sample.observation for sample in seen(70))
+    between = intake.take_between(last, later)
+    assert [frame.sampled_ns for frame in between] == [50, 60]  # 50 had come too late before
+    assert intake.take_between(later, later) == []
+
+
+# ---- What robots do, and how a trial has ended ----
+
+
+@pytest.mark.parametrize("before", RobotMotion)
+@pytest.mark.parametrize("now", [RobotMotion.DRIVE, RobotMotion.TURN, RobotMotion.STAND])
+def test_a_turn_and_a_pause_are_told_when_they_begin_and_a_pause_after_a_turn_is_not(before, now):
+    text = motion_text(before, now)
+    if now is RobotMotion.TURN and before is not RobotMotion.TURN:
+        assert text == TURNING_TEXT
+    elif now is RobotMotion.STAND and before in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
+        assert text == PAUSING_TEXT
+    else:
+        assert text == ""
+
+
+def ended_by(loop_error=None, halt_error=None, at_rest="", unrest="", dead="", fault=None):
+    loop = LoopEnd(Outcome.ABORTED if loop_error else Outcome.ARRIVED, error=loop_error)
+    verdict = replace(Verdict.unknown(1), not_at_rest=at_rest, unrest=unrest)
+    halt = Halt(Command(Stop(), 0, (True,)), verdict, [], [], halt_error)
+    return how_it_ended(loop, halt, fault, dead)
+
+
+LOST, FULL = AbortError("green is lost"), LogError("the disk is full")
+
+
+@pytest.mark.parametrize(
+    ("how", "outcome", "reason"),
+    [
+        ({}, Outcome.ARRIVED, ""),
+        ({"dead": "blue stands"}, Outcome.ARRIVED, "blue stands"),
+        ({"loop_error": LOST}, Outcome.ABORTED, "green is lost"),
+        ({"halt_error": FULL}, Outcome.ABORTED, "the disk is full"),
+        ({"loop_error": LOST, "halt_error": FULL}, Outcome.ABORTED, "green is lost"),
+        (
+            {"loop_error": LOST, "unrest": "red drives"},
+            Outcome.ABORTED,
+            "green is lost; red drives",
+        ),
+        ({"unrest": "red drives"}, Outcome.ARRIVED, ""),
+        ({"at_rest": "red rolls"}, Outcome.ABORTED, "red rolls"),
+        ({"at_rest": "red rolls", "dead": "x"}, Outcome.ABORTED, "red rolls"),
+        ({"at_rest": "red rolls", "loop_error": LOST}, Outcome.ABORTED, "green is lost"),
+        ({"loop_error": ValueError("3")}, Outcome.ABORTED, "ValueError: 3"),
+    ],
+)
+def test_the_first_error_says_how_a_trial_ended_and_then_what_did_not_stop(how, outcome, reason):
+    assert ended_by(**how) == (outcome, reason)

@@ -140,3 +140,94 @@ def test_a_folder_is_made_with_its_parents(tmp_path):
 def test_records_are_kept_from_one_command_to_the_next(tmp_path):
     keep(tmp_path / "days", 3)
     assert records(tmp_path / "days") == {3: {"day": 3, "ended": "arrived"}}
+
+
+# ---- Which trials count as finished, and in which folders ----
+
+
+def test_a_trial_of_another_spec_or_seed_is_refused_and_more_trials_are_not(tmp_path):
+    log(tmp_path, 1)
+    assert trials_to_run(spec(9), tmp_path) == [0, *range(2, 9)]
+    with pytest.raises(UsageError, match=r"trial-001\.mcap: this trial was run with another spec"):
+        trials_to_run(spec(4, seed=7), tmp_path)
+    with pytest.raises(UsageError, match="another spec or seed"):
+        trials_to_run(spec(4, hold={"time": 8, "radius": 30}), tmp_path)
+
+
+def test_a_trial_beyond_the_number_of_trials_is_not_looked_at(tmp_path):
+    log(tmp_path, 5)
+    assert trials_to_run(spec(4, seed=7), tmp_path) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_an_abort_counts_only_in_virtual_time_and_by_the_same_code(tmp_path, monkeypatch, outcome):
+    log(tmp_path, 0, outcome)
+    experiment = spec(1)
+    finished = outcome.complete or outcome is Outcome.ABORTED
+    opened = Store.of_batch(tmp_path, experiment)
+    opened.read()
+    assert opened.lacking == ([] if finished else [0])
+    assert opened.aborted == ([0] if outcome is Outcome.ABORTED else [])
+    real = type("RealTime", (), {"real_time": True})()
+    folder = opened.batches[""]
+    monkeypatch.setattr(folder, "experiment", experiment.model_copy(update={"plant": real}))
+    folder.read()
+    assert folder.lacking == ([] if outcome.complete else [0])
+
+
+def test_trials_that_other_code_has_run_are_outdated(tmp_path, monkeypatch):
+    log(tmp_path, 0)
+    log(tmp_path, 2)
+    opened = Store.of_batch(tmp_path, spec(4))
+    opened.read()
+    assert opened.batches[""].outdated == []
+    monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
+    newer = Store.of_batch(tmp_path, spec(4))
+    newer.read()
+    assert newer.batches[""].outdated == [0, 2]
+    assert newer.lacking == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "refused"),
+    [("trial-000.mcap", True), ("other.mcap.part", True), ("notes.txt", False), ("a.mcapx", False)],
+)
+def test_a_folder_with_logs_is_refused_unless_they_are_resumed(tmp_path, name, refused):
+    (tmp_path / name).write_bytes(b"")
+    opened = Store.of_batch(tmp_path, spec())
+    opened.read(resume=True)
+    if not refused:
+        opened.read(resume=False)
+        return
+    with pytest.raises(UsageError, match="holds logs already"):
+        opened.read(resume=False)
+
+
+def test_a_refused_run_creates_no_folder_and_an_opened_one_has_it(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(UsageError, match="this is not a folder"):
+        Store.of_batch(file, spec()).read()
+    new = tmp_path / "new"
+    Store.of_batch(new, spec()).read(resume=False)
+    assert not new.exists()
+    with Store.of_batch(new, spec()).opened(resume=False):
+        assert new.is_dir()
+
+
+def test_the_place_of_a_trial_is_free_of_its_earlier_log_and_its_result_is_kept(tmp_path):
+    log(tmp_path, 0, Outcome.INTERRUPTED)
+    opened = Store.of_batch(tmp_path / "x", spec())
+    assert opened.place("", 3) == tmp_path / "x"
+    assert (tmp_path / "x").is_dir()
+    opened = Store.of_batch(tmp_path, spec())
+    opened.read()
+    assert 0 in opened.lacking
+    folder = opened.place("", 0)
+    assert not log_path(folder, 0).exists()
+    assert (folder / "trial-000.attempt-1.mcap").exists()
+    log(folder, 0)
+    opened.add("", 0)
+    assert 0 not in opened.lacking
+    opened.add("", 1)  # it has no log
+    assert 1 in opened.lacking

@@ -8,8 +8,8 @@ import pytest
 from tetractl_microscope.cells.cell import BodySize
 from tetractl_microscope.cells.cell_tracks import CellTrack, Member, WhichIsWhich
 from tetractl_microscope.cells.helix import HelixFilter
-from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
-from tetractl_microscope.cells.names import ASSERTED, Names
+from tetractl_microscope.cells.kernels.helix_steps import HEADING, A, C, X, Y
+from tetractl_microscope.cells.names import ASSERTED, EITHER_OF_TWO, REMEMBERED_S, Names
 
 pytestmark = pytest.mark.slow
 
@@ -98,3 +98,190 @@ def test_cells_of_other_sizes_are_distinguished_by_them():
     assert question.best()[0] == (1, 0)
     assert 0.95 < question.probabilities().max() < 0.9999
     assert not question.ends(0.1)
+
+
+def places_of(*tracks):
+    return {track.number: np.array([*track.last, 0.0]) for track in tracks}
+
+
+@pytest.mark.parametrize("awaited", [False, True])
+@pytest.mark.parametrize("tracks", [1, 2])
+def test_a_meeting_with_something_that_may_come_out_is_remembered_for_half_a_second(
+    tracks, awaited
+):
+    dish = Dish()
+    met = [dish.track(500.0, 500.0 + 60 * k) for k in range(tracks)]
+    other = dish.track(900.0, 900.0)
+    dish.names.meet(met, 1.0, False)
+    waiting = met[-1:] if awaited else [other]
+    waits = tracks == 1 or awaited
+    dish.names.part(places_of(*met), waiting, 1.0 + REMEMBERED_S - 0.01)
+    assert [track.meeting is not None for track in met] == [waits] * tracks
+    dish.names.part(places_of(*met), waiting, 1.0 + REMEMBERED_S + 0.01)
+    assert [track.meeting for track in met] == [None] * tracks
+
+
+def test_tracks_without_a_blob_or_still_together_stay_in_their_meeting():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 560.0)]
+    dish.names.meet(tracks, 1.0, False)
+    dish.names.part(places_of(*tracks), [], 1.0)
+    assert all(track.meeting is not None for track in tracks)
+    dish.names.part(places_of(tracks[0]), [], 1.1)
+    assert tracks[0].meeting is None and tracks[1].meeting is not None
+
+
+def test_a_track_that_surely_follows_its_cell_stays_while_something_unknown_may_be_there():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 560.0)]
+    dish.names.meet(tracks, 1.0, True)
+    dish.names.part(places_of(tracks[0]), [], 1.1)
+    assert all(track.meeting is not None for track in tracks)
+    dish.names.part(places_of(*tracks), [], 1.2)
+    assert all(track.meeting is None for track in tracks)
+
+
+def test_more_than_four_tracks_that_part_are_doubted_instead_of_asked():
+    dish = Dish()
+    tracks = [dish.track(500.0 + 3 * k, 500.0) for k in range(5)]
+    dish.names.meet(tracks, 1.0, False)
+    dish.names.part(places_of(*tracks), [], 1.1)
+    assert all(track.question is None and track.meeting is None for track in tracks)
+    answers = dish.names.take_answers()
+    assert [answer.met for answer in answers] == [(track.identity,) for track in tracks]
+    assert all(track.certainty < 0.9 for track in tracks)
+    assert dish.bank.used.sum() == 5
+
+
+@pytest.mark.parametrize("entered", [False, True])
+def test_a_cell_that_comes_out_of_another_has_divided_unless_it_may_have_entered(entered):
+    dish = Dish()
+    near, new = dish.track(500.0, 500.0), dish.track(520.0, 500.0)
+    divided = dish.names.come_out(new, near, 3.0, entered)
+    assert divided == (None if entered else near.identity)
+    assert near.certainty == (1.0 if entered else EITHER_OF_TWO)
+    answers = dish.names.take_answers()
+    assert len(answers) == (not entered)
+    for answer in answers:
+        ((name,), met) = answer.named, answer.met
+        assert (name.track, name.identity, name.certainty) == (1, near.identity, EITHER_OF_TWO)
+        assert name.since_s == 3.0 and met == (near.identity,)
+        assert answer.probability == EITHER_OF_TWO
+
+
+def test_a_cell_that_comes_out_of_a_blob_of_two_has_not_divided():
+    dish = Dish()
+    near, other, new = (dish.track(500.0 + 20 * k, 500.0) for k in range(3))
+    dish.names.meet([near, other], 1.0, False)
+    assert dish.names.come_out(new, near, 3.0, False) is None
+    assert near.certainty == 1.0 and near.meeting is not None
+    assert dish.names.take_answers() == []
+
+
+def test_of_two_that_come_out_of_one_blob_the_nearer_to_the_prediction_is_the_cell():
+    """Something unknown had joined the cell; both tracks are now apart."""
+    for off_um, surely in ((0.0, True), (60.0, False)):
+        dish = Dish()
+        near = dish.track(500.0, 500.0)
+        dish.names.meet([near], 1.0, True)
+        new = dish.track(500.0, 560.0 - off_um)
+        dish.bank.mean[near.row, :2] = 500.0, 500.0 + off_um
+        assert dish.names.come_out(new, near, 3.0, False) is None
+        assert near.meeting is None and near.together_s == 3.0
+        assert (near.certainty > 0.9) == surely
+        assert surely or near.certainty < 0.1
+        assert dish.bank.used.sum() == 2
+
+
+def test_a_track_that_is_named_by_a_question_divides_without_a_doubt():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    dish.names.meet(tracks, 1.0, False)
+    apart = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    dish.names.part(apart, [], 1.1)
+    new = dish.track(520.0, 530.0)
+    before = dish.names.probabilities(tracks)
+    assert dish.names.come_out(new, tracks[0], 3.0, False) is None
+    assert dish.names.probabilities(tracks) == before
+
+
+def test_the_remaining_track_of_a_blob_may_be_either_cell():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    dish.names.meet(tracks, 1.0, False)
+    dish.names.give_up(tracks[1])
+    assert tracks[0].meeting is None
+    assert tracks[0].certainty == pytest.approx(0.5, abs=0.1)
+    assert dish.bank.used.sum() == 1
+
+
+@pytest.mark.parametrize("apart_um", [0.0, 200.0])
+def test_a_track_of_three_that_is_given_up_leaves_the_meeting_of_the_others(apart_um):
+    dish = Dish()
+    tracks = [dish.track(500.0 + apart_um * k, 500.0) for k in range(3)]
+    dish.names.meet(tracks, 1.0, False)
+    dish.names.give_up(tracks[2])
+    assert [track.meeting is not None for track in tracks[:2]] == [True, True]
+    assert [track.certainty for track in tracks[:2]] == [1.0, 1.0]
+    assert dish.bank.used.sum() == 4
+    dish.names.give_up(tracks[1])
+    assert (tracks[0].meeting is None) == (apart_um == 0.0)
+    assert (tracks[0].certainty == 1.0) == (apart_um > 0.0)
+
+
+def test_a_track_with_an_open_question_that_is_given_up_answers_it():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    dish.names.meet(tracks, 1.0, False)
+    apart = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    dish.names.part(apart, [], 1.1)
+    assert dish.bank.used.sum() == 4
+    probability = dish.names.probabilities(tracks)[0]
+    dish.names.give_up(tracks[1])
+    (answer,) = dish.names.take_answers()
+    assert answer.probability == pytest.approx(probability, abs=0.05)
+    assert [name.track for name in answer.named] == [1, 2]
+    assert tracks[0].question is None
+    assert tracks[0].certainty == pytest.approx(probability)
+    assert dish.bank.used.sum() == 1 and dish.bank.used[tracks[0].row]
+
+
+def test_tracks_that_meet_again_answer_their_question_first():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    dish.names.meet(tracks, 1.0, False)
+    apart = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    dish.names.part(apart, [], 1.1)
+    dish.names.meet(tracks, 1.2, False)
+    assert len(dish.names.take_answers()) == 1
+    assert all(track.question is None and track.meeting is not None for track in tracks)
+    assert dish.bank.used.sum() == 4
+
+
+def test_numbers_are_given_once():
+    names = Dish().names
+    assert [names.take_number() for _ in range(3)] == [1, 2, 3]
+
+
+def test_a_question_follows_each_track_as_each_of_its_cells():
+    """A row that expected its cell elsewhere, or the other way round, is moved to the track."""
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0, heading=3.0)]
+    for track, a in zip(tracks, (2.0, 5.0), strict=True):
+        dish.bank.mean[track.row, A] = a
+    dish.names.meet(tracks, 1.0, False)
+    apart = {1: np.array([501.0, 580.0, 0.1]), 2: np.array([501.0, 420.0, -0.2])}
+    for track in tracks:
+        dish.bank.mean[track.row, [X, Y, C]] = *apart[track.number][:2], 0.0
+    dish.names.part(apart, [], 1.1)
+    question = tracks[0].question
+    assert question is tracks[1].question is not None
+    for t, track in enumerate(tracks):
+        rows = question.rows[t]
+        assert dish.bank.mean[rows, A] == pytest.approx([2.0, 5.0], abs=0.05)
+        assert np.abs(dish.bank.mean[rows, Y] - apart[track.number][1]).max() < 15.0
+        heading = (0.1, -0.2 + math.pi)[t]
+        off = np.remainder(dish.bank.mean[rows, HEADING] - heading + math.pi, math.tau) - math.pi
+        assert np.abs(off).max() < 0.6
+    assert len(set(question.rows.ravel().tolist())) == 4
+    assert dish.bank.used.sum() == 4

@@ -68,7 +68,7 @@ def test_a_legend_above_the_axes_comes_below_the_headline_and_another_stays(plac
     with styled():
         shown = drawing.legend(handles=[sign("a", marker="o")], loc=place)
     headline(drawing, "a headline")
-    picture(drawing, "png")
+    drawing.draw_without_rendering()
     box = shown.get_window_extent()
     lowest_text = min(text.get_window_extent().y0 for text in drawing.texts)
     assert box.y1 <= lowest_text
@@ -122,7 +122,7 @@ def test_a_legend_is_below_the_panels():
     drawing = drawn()
     with styled():
         legend(drawing, [sign("a", marker="o"), sign("b", marker="s")])
-    picture(drawing, "png")
+    drawing.draw_without_rendering()
     (axes,) = drawing.axes
     box = drawing.legends[0].get_window_extent()
     lowest = min(label.get_window_extent().y0 for label in axes.get_xticklabels())

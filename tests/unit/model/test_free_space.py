@@ -11,6 +11,7 @@ from testkit.bounded import shapes, spec
 
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
+from tetractl.core.setup import Bounds
 from tetractl.model.free_space import clearance, connected, shut_out
 
 pytestmark = pytest.mark.slow
@@ -94,3 +95,70 @@ def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
     regions, _ = label(free, np.ones((3, 3)))
     expected = np.isin(regions, regions[cells & free])
     assert np.array_equal(connected(cells, free), expected)
+
+
+def mirrored(point):
+    """The same place with the axes exchanged."""
+    return (point[1], point[0])
+
+
+@pytest.mark.parametrize("walls", [True, False])
+@pytest.mark.parametrize(
+    ("start", "target"),
+    [((100, 200), (900, 300)), ((500, 50), (850, 560)), ((30, 580), (60, 30))],
+)
+def test_with_the_axes_exchanged_nothing_changes(start, target, walls):
+    """In an arena that is wider than tall."""
+    things = [(480, -100, 40, 650), (700, 200, 20, 500), (700, 200, 400, 20), (0, 300, 400, 25)]
+    across = replace(
+        placed(shapes([wall(*thing) for thing in things]), start, target),
+        arena=Bounds(0, 0, 1000, 600),
+    )
+    exchanged = [wall(y, x, height, width) for x, y, width, height in things]
+    upwards = replace(
+        placed(shapes(exchanged), mirrored(start), mirrored(target)), arena=Bounds(0, 0, 600, 1000)
+    )
+    least = shut_out(across, 5.0, walls)
+    assert shut_out(upwards, 5.0, walls) == pytest.approx(least, abs=1e-6)
+
+
+def test_how_near_a_robot_comes_is_never_overstated():
+    """A box around the target, of which the walls are 40 thick."""
+    sides = [(740, 340, 320, 40), (740, 620, 320, 40), (740, 340, 40, 320), (1020, 340, 40, 320)]
+    boxed = replace(
+        setup(*(wall(*side) for side in sides), target=(900, 500)), arena=Bounds(0, 0, 1200, 1000)
+    )
+    for margin in (0.0, 20.0):
+        (apart,) = shut_out(boxed, margin, walls=True)
+        assert 160 + margin - 20 < apart <= 160 + margin
+        (outside,) = shut_out(boxed, margin, walls=False)
+        assert outside == pytest.approx(apart)
+
+
+def test_each_robot_has_a_start_and_a_target_of_its_own():
+    alone = setup(WALL)
+    both = replace(
+        alone,
+        starts=Poses.from_array(np.array([[100.0, 500, 0], [900, 300, 0]])),
+        targets=np.array([[900.0, 500], [950.0, 700]]),
+    )
+    first, second = shut_out(both, 0.0, walls=True)
+    assert first > 400
+    assert second == 0
+
+
+def test_of_a_start_inside_an_obstacle_or_nearer_than_the_margin_nothing_is_said():
+    assert shut_out(setup(WALL, start=(500, 500)), 0.0, walls=True) == [0]
+    assert shut_out(setup(WALL, start=(470, 500)), 40.0, walls=True) == [0]
+    assert shut_out(setup(WALL, start=(430, 500)), 40.0, walls=True) > 400
+
+
+@pytest.mark.parametrize("start", [(0, 0), (1000, 0), (0, 1000), (1000, 1000)])
+def test_corners_of_the_arena_are_places_too(start):
+    far = (1000 - start[0], 1000 - start[1])
+    assert shut_out(setup(start=start, target=far), 0.0, walls=True) == [0]
+
+
+def test_a_wall_that_ends_at_the_arenas_edge_is_passed_only_outside():
+    assert shut_out(setup(wall(480, 0, 40, 1000)), 0.0, walls=True) > 400
+    assert shut_out(setup(wall(480, 0, 40, 1000)), 0.0, walls=False) == [0]

@@ -1,15 +1,22 @@
 """Tests of the filter's passes over a track: which frames are used, and the noise and speed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_identify.passes import (
+    IDENTIFIED,
     SHORTEST_S,
     UNSEEN_S,
+    Passed,
+    PassPrior,
     TrackFrames,
+    _begin_track,
+    _start,
+    _Watch,
     intervals_used,
     position_noise,
     speed_wander,
@@ -17,6 +24,7 @@ from tetractl_identify.passes import (
 )
 from tetractl_identify.tracks import Track
 
+from tetractl.control.estimation.kernels.filter_state import LAG
 from tetractl.core.errors import UsageError
 
 
@@ -200,3 +208,124 @@ def test_a_block_counts_only_if_the_robot_was_measured_in_most_of_it():
     fast_only = ((time // 1 % 2 == 1) | (time % 1.0 < 0.5))[:, None]
     assert whole > 0.2
     assert speed_wander([frames_of(poses, time, fast_only)])[0] < 0.01
+
+
+# what a watch of the filter collects, and how the filter begins
+
+U = np.array([0.5, 1.5, 2.5])
+
+
+def bank_of(newest, directions, weights, headings):
+    """A bank of three dead times and one robot with three hypotheses, the last for none that fits.
+
+    The dead time in the middle has these values; the others must not matter.
+    """
+    count = len(directions)
+    direction = np.full((3, 1, count), 9.0)
+    direction[1, 0] = directions
+    ln_weight = np.full((3, 1, count), -1.0)
+    with np.errstate(divide="ignore"):
+        ln_weight[1, 0] = np.log(weights)
+    state = np.full((3, 1, count, 3), 7.0)
+    state[1, 0, :, 2] = headings
+    return SimpleNamespace(
+        dead_time_s=np.zeros((3, 1)),
+        ln_weight=ln_weight,
+        state=state,
+        direction=direction,
+        next_command=np.array([[0], [newest + 1], [0]]),
+    )
+
+
+def watched(*frames, used=True):
+    watch = _Watch(U, 1)
+    for bank, heading in frames:
+        watch.add(bank, np.array([[0.0, 0.0, heading]]), np.array([used]))
+    return watch
+
+
+def test_a_residual_is_that_of_the_likeliest_hypothesis():
+    bank = bank_of(0, [0.5, 0.5, 0.5], [0.2, 0.7, 0.1], [1.0, 2.0, 3.0])
+    (residual,) = watched((bank, 2.3)).residuals
+    assert residual == pytest.approx([0.3])
+    (residual,) = watched((bank, 2.3 + 2 * np.pi)).residuals
+    assert residual == pytest.approx([0.3])
+    (residual,) = watched((bank, 2.3), used=False).residuals
+    assert np.isnan(residual).all()
+
+
+@pytest.mark.parametrize(
+    ("directions", "weights", "lost"),
+    [
+        ([1.5, 0.5, 1.5], [0.9, 0.1, 0.0], 0.1),
+        ([0.5, 1.5, 1.5], [0.9, 0.1, 0.0], 0.9),
+        ([1.5, 1.5, 1.5], [0.9, 0.1, 0.0], 0.0),
+        ([1.5, 1.5, 0.5], [0.5, 0.3, 0.2], 0.0),  # the last slot is of no command
+    ],
+)
+def test_a_direction_is_lost_by_the_probability_that_another_one_is_followed(
+    directions, weights, lost
+):
+    assert watched((bank_of(1, directions, weights, [0, 0, 0]), 0.0)).lost == pytest.approx([lost])
+
+
+def test_the_last_frame_of_each_direction_counts_and_those_before_the_first_do_not():
+    first = bank_of(0, [9.0, 0.5, 0.5], [0.6, 0.4, 0.0], [0, 0, 0])
+    later = bank_of(0, [9.0, 0.5, 0.5], [0.2, 0.8, 0.0], [0, 0, 0])
+    second = bank_of(1, [9.0, 1.5, 1.5], [0.3, 0.7, 0.0], [0, 0, 0])
+    before = bank_of(-1, [9.0, 0.5, 0.5], [1.0, 0.0, 0.0], [0, 0, 0])
+    assert watched((before, 0.0), (first, 0.0), (later, 0.0), (second, 0.0)).lost == pytest.approx(
+        [0.2 + 0.3]
+    )
+
+
+PRIOR = PassPrior(
+    mean=np.array([[1.0, 2.0, 0.1], [1.5, 2.5, 0.2]]),
+    std=np.array([[0.3, 0.2, 0.1], [0.4, 0.5, 0.6]]),
+    noise=np.array([[0.5, 0.01], [0.7, 0.02]]),
+    walk=np.array([[3.0, 0.04], [5.0, 0.06]]),
+)
+TAUS = np.array([0.1, 0.2, 0.3])
+
+
+def test_a_filter_begins_with_its_prior_for_each_dead_time():
+    model, bank = _start(PRIOR, TAUS)
+    assert (bank.dead_time_s == TAUS[:, None]).all()
+    for states in bank.state[:, :, 0]:
+        assert states[:, IDENTIFIED] == pytest.approx(PRIOR.mean)
+    variances = np.diagonal(bank.cov[0, :, 0], axis1=1, axis2=2)
+    assert variances[:, IDENTIFIED] == pytest.approx(PRIOR.std**2)
+    # positions along and across have the same noise and walk
+    assert model.noise == pytest.approx(np.array([[0.5, 0.7], [0.5, 0.7], [0.01, 0.02]]))
+    assert model.walk[:3] == pytest.approx(np.array([[3.0, 5.0], [3.0, 5.0], [0.04, 0.06]]))
+    assert not model.walk[3:].any()
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.2])
+def test_robots_stand_until_the_first_direction_only_if_their_wheels_lag(lag):
+    time = np.arange(40) / 20
+    frames = replace(
+        frames_of(np.concatenate([straight(100.0, time)] * 2, axis=1), time),
+        when=np.array([0.3, 0.9]), u=np.array([0.7, 1.1]), watchdog=0.25, lag=lag,
+    )  # fmt: skip
+    _, bank = _start(PRIOR, TAUS)
+    _begin_track(bank, frames)
+    assert np.exp(bank.ln_weight).sum(axis=2) == pytest.approx(np.ones((3, 2)))
+    assert (bank.ln_weight[..., 0] == 0).all()
+    assert (bank.state[..., LAG] == lag).all()
+    if lag:
+        assert np.isnan(bank.direction).all()
+        assert (bank.next_command == 0).all()
+    else:
+        assert (bank.direction == 0.7).all()
+        assert (bank.next_command == 1).all()
+    assert bank.until_s[..., 0] == pytest.approx(np.repeat(TAUS[:, None] + 0.55, 2, axis=1))
+
+
+def test_the_likelihood_is_the_sum_over_the_blocks():
+    blocks = np.arange(12.0).reshape(3, 2, 2)
+    nothing = np.zeros(0)
+    assert (
+        Passed(blocks, nothing, nothing, nothing, nothing).likelihood.tolist()
+        == (blocks[0] + blocks[1] + blocks[2]).tolist()
+    )

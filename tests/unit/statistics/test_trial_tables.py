@@ -1,5 +1,8 @@
 """Tests of the tables of a single log, which read its control steps as columns."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from testkit.mutate import rewrite
@@ -10,7 +13,7 @@ from tetractl.log.format.channels import STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.statistics.trial_tables import TABLES, of_log
+from tetractl.statistics.trial_tables import TABLES, of_log, poses
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +116,90 @@ def test_every_length_of_a_trial_has_its_unit_in_its_name(log, columns):
         least = min(distances, default=np.inf)
         assert columns["trials"][f"{name}_mm"][0] == (None if least == np.inf else least)
     assert columns["trials"].keys().isdisjoint({"clearance", "edge", "apart", "total_error"})
+
+
+def test_the_table_of_poses_has_a_row_for_each_robot_of_each_frame(log, columns):
+    table = columns["poses"]
+    names = log.start.setup.names
+    rows = [(frame, robot) for frame in range(len(log.frames)) for robot in range(len(names))]
+    assert [int(number) for number in table["frame"]] == [int(log.frames[m]) for m, _ in rows]
+    assert list(table["robot"]) == [names[i] for _, i in rows]
+    assert table["time_s"].tolist() == [float(log.frames_s[m]) for m, _ in rows]
+    assert table["valid"].tolist() == [bool(log.valid[m, i]) for m, i in rows]
+    for prefix, logged in (("", log.mocap), ("true_", log.truth)):
+        for number, quantity in enumerate(("x_mm", "y_mm", "heading_rad")):
+            expected = [float(logged[m, i, number]) for m, i in rows]
+            assert table[f"{prefix}{quantity}"].tolist() == expected
+    targets = log.start.setup.targets
+    away = [math.dist(log.mocap[m, i, :2], targets[i]) for m, i in rows]
+    assert table["distance_mm"] == pytest.approx(away)
+
+
+def test_nobody_knows_the_true_poses_of_a_lab(log):
+    table = poses(replace(log, truth=None)).as_dict()
+    for quantity in ("x_mm", "y_mm", "heading_rad"):
+        assert np.isnan(table[f"true_{quantity}"]).all()
+        assert np.isfinite(table[quantity]).all()
+
+
+def test_the_table_of_events_has_each_message_with_its_time_and_level(log, columns):
+    table = columns["events"]
+    assert list(table["time_s"]) == [event.time_s for event in log.events]
+    assert list(table["level"]) == [event.level for event in log.events]
+    assert list(table["text"]) == [event.text for event in log.events]
+
+
+def test_each_table_says_of_which_log_and_trial_it_is_first_and_only_those_asked_for_are_made(path):
+    tables, _ = of_log(path, {"poses", "events"})
+    assert list(tables) == ["poses", "events"]
+    for table in tables.values():
+        log_column, trial_column, *_ = table.columns
+        assert (log_column.name, trial_column.name) == ("log", "trial")
+        assert set(log_column.values) == {str(path)}
+        assert set(trial_column.values) == {0}
+
+
+def test_the_table_of_steps_has_when_robots_were_seen_and_what_the_plan_was(log, columns):
+    steps = columns["steps"]
+    plans = [step.plan for step in log.steps]
+    seen_s = [log.elapsed_s(step.observation.sampled_ns) for step in log.steps]
+    assert list(steps["observed_s"]) == seen_s
+    assert list(steps["target_cost_mm"]) == [plan.target_cost for plan in plans]
+    assert list(steps["obstacle_cost"]) == [plan.obstacle_cost for plan in plans]
+    assert list(steps["signals"]) == [len(plan.signals) for plan in plans]
+    assert list(steps["searches"]) == [len(plan.searches) for plan in plans]
+    assert list(steps["deadline_missed"]) == [step.deadline_missed for step in log.steps]
+
+
+def test_robots_on_wheels_have_the_speeds_of_both_wheels_and_others_have_no_such_columns(
+    columns, tmp_path
+):
+    assert not [name for name in columns["steps"] if name.startswith(("left_", "right_"))]
+    wheeled = trial(steps=4, robots=2, frames=2, first=1, length=2, wheels={"radius": 40})
+    tables, _ = of_log(write(wheeled, tmp_path / "wheels.mcap"), {"steps"})
+    steps = tables["steps"].as_dict()
+    for i, name in enumerate(("robot 0", "robot 1")):
+        for side in ("left", "right"):
+            logged = [getattr(step.command, side) for step in wheeled.steps]
+            expected = [None if speeds is None else float(speeds[i]) for speeds in logged]
+            assert list(steps[f"{side}_{name}_mm_s"]) == expected
+
+
+def test_each_estimate_has_its_unit_and_a_common_dead_time_is_that_of_every_robot(log, columns):
+    table = columns["estimates"]
+    plans = [step.plan for step in log.steps if step.plan.estimate is not None]
+    units = {"speed": "mm_s", "speed_std": "mm_s", "a_std": "rad_s", "lag": "s", "lag_std": "s"}
+    for field, unit in units.items():
+        expected = []
+        for plan in plans:
+            values = getattr(plan.estimate, field)
+            expected.extend(np.full(2, np.nan) if values is None else values)
+        assert np.array_equal(table[f"{field}_{unit}"], expected, equal_nan=True)
+    spreads = [plan.estimate.dead_time_std for plan in plans]
+    known = [np.nan if std is None else std for std in spreads]
+    assert np.array_equal(table["dead_time_std_s"], np.repeat(known, 2), equal_nan=True)
+    steps = [step for step in log.steps if step.plan.estimate is not None]
+    assert table["k"].tolist() == [step.k for step in steps for _ in range(2)]
+    sent_s = [log.elapsed_s(step.command.sent_ns) for step in steps]
+    assert table["time_s"].tolist() == [time_s for time_s in sent_s for _ in range(2)]
+    assert list(table["robot"]) == [*log.start.setup.names] * len(steps)

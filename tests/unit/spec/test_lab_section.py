@@ -1,12 +1,14 @@
+import dataclasses
 import os
 import re
 
 import pytest
 from testkit.paths import ROOT
 
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import SpecError, UsageError
 from tetractl.plant.sim_section import SimSection
-from tetractl.spec.load import load_spec, parse_spec
+from tetractl.spec.lab_section import RobotPart, entry, mismatches, too_fast, unknown_radii
+from tetractl.spec.load import load_spec, parse_contents, parse_spec
 from tetractl.spec.loaded_spec import resolved_yaml
 from tetractl.spec.plants import calibrated, lab_of, on_plant
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -169,3 +171,119 @@ def test_a_calibration_that_never_ends_is_not_read(tmp_path):
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
     with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
         on_plant(loaded, "lab")
+
+
+# the rules of the robots of a device
+
+
+def setup_of(unit="mm", wheels=True):
+    robots = [
+        {"name": name, "start": [1, y], "target": [5, y], "a": 3, "speed": speed}
+        for name, y, speed in (("one", 1, 2.0), ("two", 5, 3.0))
+    ]
+    contents = {
+        "name": "s",
+        "units": {"length": unit},
+        "arena": {"left": 0, "bottom": 0, "width": 9, "height": 9},
+        "robots": robots,
+    }
+    if wheels:
+        contents["wheels"] = {"radius": 0.1}
+    return parse_contents(contents, "s").experiment.setup
+
+
+@pytest.mark.parametrize(
+    ("unit", "speed_max_mm_s", "is_too_fast"),
+    [("mm", 3, False), ("mm", 2.9, True), ("cm", 30, False), ("cm", 29, True),
+     ("m", 3000, False), ("m", 2999, True)],
+)  # fmt: skip
+def test_no_robot_is_faster_than_its_wheels_are_driven(unit, speed_max_mm_s, is_too_fast):
+    found = list(too_fast(setup_of(unit), speed_max_mm_s))
+    assert [loc for loc, _ in found] == [("speed_max_mm_s",)] * is_too_fast
+    if found:
+        in_mm = {"mm": "3", "cm": "30", "m": "3000"}[unit]
+        assert found[0][1] == f"is below the speed of two, which is {in_mm} mm/s"
+
+
+def test_radii_are_needed_only_if_the_spec_has_none():
+    assert list(unknown_radii(setup_of(), [None, None])) == []
+    found = list(unknown_radii(setup_of(wheels=False), [40.0, None]))
+    assert [loc for loc, _ in found] == [("robots", 1, "radius_mm")]
+    assert list(unknown_radii(setup_of(wheels=False), [40.0, 41.0])) == []
+
+
+class Body(RobotPart):
+    """A robot's entry with a number of its own."""
+
+    number: int | None = None
+
+
+def bodies(*entries):
+    return [Body(name=name, number=number) for name, number in entries]
+
+
+def test_a_device_lists_every_robot_of_the_spec_once_and_no_other():
+    good = bodies(("two", 2), ("one", 1))
+    assert list(mismatches(good, ["one", "two"], ["number"])) == []
+    places = [loc for loc, _ in mismatches(good, ["one", "three"], ["number"])]
+    assert places == [("robots",), ("robots", 0, "name")]
+    twice = list(mismatches(bodies(("one", 1), ("one", 2)), ["one"], ["number"]))
+    assert [loc for loc, _ in twice] == [("robots", 1, "name")]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "is_refused"), [(1, 2, False), (1, 1, True), (None, None, False)]
+)
+def test_values_that_must_differ_may_only_both_be_unknown(first, second, is_refused):
+    listed = bodies(("one", first), ("two", second))
+    found = list(mismatches(listed, ["one", "two"], ["number"]))
+    assert [loc for loc, _ in found] == [("robots", 1, "number")] * is_refused
+    assert list(mismatches(listed, ["one", "two"])) == []
+
+
+def test_the_entry_of_a_robot_is_found_by_its_name():
+    assert entry(bodies(("one", 1), ("two", 2)), "two").number == 2
+
+
+def in_lab(*settings):
+    return on_plant(load_spec(SPEC, settings), "lab").experiment
+
+
+@pytest.mark.parametrize(
+    ("setting", "is_refused"),
+    [("[0, 0]", True), ("[1, 0]", True), ("[0, 0.1]", False), ("[-5, 5]", False)],
+)
+def test_the_lower_height_comes_first(setting, is_refused):
+    settings = [f"lab.limits.height_mm={setting}"]
+    if is_refused:
+        with pytest.raises(InvalidSpecError, match="must be two heights, with the lower one first"):
+            load_spec(SPEC, settings)
+    else:
+        load_spec(SPEC, settings)
+
+
+def test_a_lag_of_a_lab_is_for_robots_on_wheels():
+    lab = in_lab("lab.lag=0.1").plant
+    assert [loc for loc, _ in lab.contradictions(in_lab().setup)] == []
+    without = in_lab().setup
+    cells = dataclasses.replace(without, wheel_radius=None)
+    assert ("lag",) in [loc for loc, _ in lab.contradictions(cells)]
+    none = in_lab("lab.lag=null").plant
+    assert ("lag",) not in [loc for loc, _ in none.contradictions(cells)]
+
+
+def test_the_limits_of_a_lab_are_described():
+    bounds = in_lab("lab.limits.stale=0.25", "lab.limits.late_steps=7").plant.bounds()
+    assert bounds["all robots stop"] == "0.25 s after the last camera frame"
+    assert "7 late control steps" in bounds["the trial aborts"]
+    assert "motion and drift checks" not in bounds
+    assert in_lab("lab.limits.observe=true").plant.bounds()["motion and drift checks"] == (
+        "only report"
+    )
+
+
+def test_a_device_that_cannot_be_calibrated_says_so():
+    actuator = in_lab().plant.actuator.model_copy()
+    without = type("A", (type(actuator),), {"calibration": ""}).model_construct(**dict(actuator))
+    with pytest.raises(UsageError, match="cannot be calibrated by moving robots"):
+        without.calibrate(None, None, None, (), 45, print)

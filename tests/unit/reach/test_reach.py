@@ -118,3 +118,72 @@ def test_of_very_many_robots_nothing_is_said():
         ROBOTS[0] | {"name": f"r{i}", "start": [100.0 + i, 100.0]} for i in range(ROBOTS_MAX + 1)
     ]
     assert reach(experiment(robots=robots)) is None
+
+
+@pytest.fixture
+def few_sequences(monkeypatch):
+    """Enough to tell which robots are alike."""
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 200)
+
+
+def test_as_many_robots_as_are_allowed_have_a_verdict(monkeypatch):
+    monkeypatch.setattr("tetractl.reach.reach.ROBOTS_MAX", 3)
+    assert reach(three_robots()) is not None
+    monkeypatch.setattr("tetractl.reach.reach.ROBOTS_MAX", 2)
+    assert reach(three_robots()) is None
+
+
+@pytest.mark.usefixtures("few_sequences")
+def test_two_of_three_robots_alike_are_a_group_and_the_third_is_none():
+    for a, group in (((6, 6, 3), NAMES[:2]), ((3, 6, 6), NAMES[1:]), ((6, 3, 6), NAMES[::2])):
+        reached = reach(three_robots(a=a))
+        assert reached.identical == (group,)
+        assert {parting.robot for parting in reached.separable} == {group[1]}
+        (parting,) = reached.separable
+        assert parting.a == 6
+        assert parting.a_advised > 6
+        assert f"{group[0]} and {group[1]} move in the same way" in str(reached)
+        assert f"from {parting.a:.4g} to {parting.a_advised:.4g}" in str(reached)
+        assert "still would" not in str(reached)
+
+
+@pytest.mark.usefixtures("few_sequences")
+def test_two_pairs_of_robots_alike_are_two_groups():
+    robots = [
+        ROBOTS[i % 3] | {"name": name, "a": rate, "speed": 200.0, "start": [700 + 90 * i, 500]}
+        for i, (name, rate) in enumerate(zip("stuv", (6.0, 3.0, 6.0, 3.0), strict=True))
+    ]
+    assert set(reach(experiment(robots=robots)).identical) == {("s", "u"), ("t", "v")}
+
+
+@pytest.mark.usefixtures("few_sequences")
+def test_the_speed_and_the_place_of_robots_do_not_matter_but_their_headings_do():
+    """Ends count relative to speeds. Robots with other headings at first can be told apart."""
+    alike = reach(three_robots(a=(6, 6, 6), speed=(100, 200, 300)))
+    assert alike.identical == (NAMES,)
+    robots = [
+        robot | {"a": 6.0, "heading": heading}
+        for robot, heading in zip(ROBOTS, (0, 1, 2), strict=True)
+    ]
+    assert reach(experiment(robots=robots)).rank > 2
+
+
+@pytest.mark.usefixtures("few_sequences")
+def test_robots_that_all_stand_reach_nothing():
+    reached = reach(three_robots(speed=(0, 0, 0)))
+    assert reached.rank == 0
+    assert reached.still == NAMES
+    assert reached.identical == ()
+
+
+@pytest.mark.usefixtures("few_sequences")
+def test_the_json_fields_are_those_of_the_verdict():
+    reached = reach(three_robots(a=(6, 6, 3)))
+    fields = reached.fields
+    assert (fields["rank"], fields["of"]) == (reached.rank, 6)
+    assert fields["barely"] == reached.barely
+    assert fields["alike"] == [NAMES[:2]]
+    assert fields["spread"] == reached.spread.tolist()
+    assert fields["spread"][0] == 1
+    assert sorted(fields["spread"], reverse=True) == fields["spread"]
+    assert [parting["robot"] for parting in fields["parted"]] == [NAMES[1]]

@@ -7,7 +7,6 @@ import pytest
 from tetractl.core.errors import UsageError
 from tetractl.view.style import (
     ALARM,
-    FORMATS,
     GREY,
     HEADLINE_GAP_IN,
     HEADLINE_IN,
@@ -113,9 +112,8 @@ def test_other_formats_may_be_asked_for(tmp_path):
         file_format(tmp_path / "a.png", ("mp4", "gif"), "video")
 
 
-@pytest.mark.parametrize("wanted", FORMATS)
-def test_the_same_figure_gives_the_same_bytes(wanted):
-    assert picture(drawn(), wanted) == picture(drawn(), wanted)
+def test_the_same_figure_gives_the_same_bytes():
+    assert picture(drawn(), "svg") == picture(drawn(), "svg")
 
 
 def test_a_legend_is_below_the_panels():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from testkit.random_trials import trial
 
@@ -71,6 +71,7 @@ def host_end(result):
     )
 
 
+@settings(max_examples=20)
 @given(results(), st.integers(0, 99))
 def test_a_result_is_read_as_it_was_written(result, warnings):
     message = pb.Result.FromString(encode_result(result, "um", warnings).SerializeToString())
@@ -78,6 +79,7 @@ def test_a_result_is_read_as_it_was_written(result, warnings):
     assert first_difference(decode_result(message, host_end(result), 2), result) is None
 
 
+@settings(max_examples=10)
 @given(results())
 def test_without_the_records_of_the_host_a_result_lacks_only_its_times(result):
     untimed = replace(result, solve_ns=(), deadline_misses=0, drove=())

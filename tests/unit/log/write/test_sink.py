@@ -185,3 +185,17 @@ def test_a_log_that_was_removed_is_restored_and_the_error_says_where_it_is(tmp_p
     assert [e.log_ns for e in scan(part).entries] == [1, 2]
     log.add(entry(3))  # nothing happens
     log.sync()
+
+
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [(OSError(28, "No space left on device"), "No space left on device"), (OSError("odd"), "odd")],
+)
+def test_a_failed_write_says_why_in_the_words_of_the_system(tmp_path, error, why):
+    path = tmp_path / "trial.mcap"
+    log = Sink(path)
+    log.add(entry(1))
+    with pytest.raises(LogError) as caught:
+        log.fail(error)
+    assert caught.value.message == f"{path}: cannot write the log: {why}"
+    assert caught.value.hint == f"the log written so far is in {path}.part"

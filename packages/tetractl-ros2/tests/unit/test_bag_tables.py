@@ -5,22 +5,25 @@ import math
 import sqlite3
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 pytest.importorskip("rosbags", reason="recordings are read by rosbags")
-from mcap.reader import make_reader
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from testkit.cli import tetractl
-from testkit.paths import ROOT
 from tetractl_ros2 import ros2_messages as m
-from tetractl_ros2.bag_of_log import topic_part, write_bag
-from tetractl_ros2.bag_tables import read_bag
+from tetractl_ros2.bag_tables import (
+    BagCommand,
+    BagContents,
+    BagPose,
+    begin,
+    command_table,
+    pose_table,
+    read_bag,
+)
 
-import tetractl as api
-from tetractl.log.read.reader import read_trial
+from tetractl.core.errors import UsageError
 
 PUBLIC = Path(__file__).parents[1] / "data" / "beginner_tutorials.db3"
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -153,75 +156,117 @@ def test_a_recording_without_poses_is_refused(tmp_path):
     assert done.returncode == 2 and "has no poses" in done.stderr
 
 
-@pytest.fixture(scope="module")
-def trial(tmp_path_factory):
-    """A short trial of robots on wheels, simulated, and its recording."""
-    folder = tmp_path_factory.mktemp("log")
-    spec = api.load_spec(ROOT / "experiments" / "three_m3pi.yaml", "controller.time_limit=1")
-    api.run_trial(spec, folder=folder)
-    read = read_trial(folder / "trial-000.mcap")
-    write_bag(read, folder / "bag")
-    return read, folder / "bag"
+def contents(*poses, commands=()):
+    return BagContents(tuple(poses), tuple(commands))
 
 
-@pytest.mark.slow
-def test_rosbags_reads_a_recorded_trial_back(trial):
-    read, folder = trial
-    poses = {}
-    with Reader(folder) as reader:
-        for connection, at_ns, data in reader.messages():
-            if connection.topic == "/tf":
-                moved = STORE.deserialize_cdr(data, connection.msgtype).transforms
-                for i, one in enumerate(moved):
-                    at = one.transform.translation
-                    turn = one.transform.rotation
-                    poses.setdefault(at_ns, {})[i] = (at.x, at.y, 2 * math.atan2(turn.z, turn.w))
-    rows = [[poses[at_ns][i] for i in range(3)] for at_ns in sorted(poses)]
-    assert len(rows) == len(read.frames)
-    written = np.array(rows)
-    metres = read.start.setup.metres
-    assert np.allclose(written[..., :2], read.mocap[..., :2] * metres, atol=1e-12)
-    turned = written[..., 2] - read.mocap[..., 2]
-    assert np.allclose(np.remainder(turned + np.pi, 2 * np.pi) - np.pi, 0, atol=1e-9)
+def posed(robot="green", topic="/tf", frame="map", at_ns=SECOND, x=1.0):
+    return BagPose(topic, robot, frame, at_ns, x, 2.0, 0.5)
 
 
-@pytest.mark.slow
-def test_another_reader_and_decoder_read_the_commands_of_a_recorded_trial(trial):
-    """The plain library of MCAP, and Cyclone DDS."""
-    read, folder = trial
-    directions = []
-    twists = []
-    (file,) = folder.glob("*.mcap")
-    with file.open("rb") as stream:
-        for schema, channel, packed in make_reader(stream).iter_messages():
-            if channel.topic == "/direction":
-                assert schema.name == "geometry_msgs/msg/Vector3Stamped"
-                vector = m.Vector3Stamped.deserialize(packed.data).vector
-                directions.append((vector.x, vector.y))
-            if channel.topic == f"/{read.start.setup.names[0]}/cmd_vel":
-                twists.append(m.TwistStamped.deserialize(packed.data).twist)
-    setup = read.start.setup
-    assert len(directions) == len(read.commands) == len(twists)
-    for command, (x, y), sent in zip(read.commands, directions, twists, strict=True):
-        u = command.direction
-        expected = (0.0, 0.0) if u is None else (math.cos(u), math.sin(u))
-        assert np.allclose((x, y), expected)
-        left, right = command.left[0] * setup.metres, command.right[0] * setup.metres
-        radius = setup.wheel_radius * setup.metres
-        assert math.isclose(sent.linear.x, (left + right) / 2, abs_tol=1e-12)
-        assert math.isclose(sent.angular.z, (right - left) / (2 * radius), abs_tol=1e-9)
+def columns(table):
+    return {column.name: list(column.values) for column in table.columns}
 
 
-@pytest.mark.slow
-def test_a_recording_is_not_overwritten(trial, tmp_path):
-    (tmp_path / "bag").mkdir()
-    read, _ = trial
-    done = tetractl(tmp_path, "export-rosbag", read.log, "-o", "bag")
-    assert done.returncode == 2 and "exists already" in done.stderr
+def test_times_count_from_the_earliest_pose_or_command():
+    recorded = contents(
+        posed(at_ns=5 * SECOND),
+        posed(at_ns=4 * SECOND),
+        commands=[
+            BagCommand("/green/cmd_vel", "green", 7 * SECOND // 2, 0.1, 0.2),
+            BagCommand("/green/cmd_vel", "green", 3 * SECOND, 0.3, 0.4),
+        ],
+    )
+    assert begin(recorded) == 3 * SECOND
+    assert columns(pose_table(recorded, None, None))["time_s"] == [1.0, 2.0]
+    sent = columns(command_table(recorded))
+    assert sent == {
+        "time_s": [0.0, 0.5],
+        "robot": ["green", "green"],
+        "v_m_s": [0.3, 0.1],
+        "w_rad_s": [0.4, 0.2],
+    }
+
+
+def test_of_several_poses_of_a_robot_at_one_time_the_first_is_kept():
+    recorded = contents(posed(x=1.0), posed(x=9.0), posed("blue", x=3.0), posed(at_ns=9, x=4.0))
+    table = columns(pose_table(recorded, None, None))
+    assert table["x_m"] == [4.0, 1.0, 3.0]
+    assert table["robot"] == ["green", "green", "blue"]
+
+
+def test_a_robot_on_two_topics_needs_a_choice_and_two_robots_on_two_topics_do_not():
+    two = contents(posed(topic="/a"), posed(topic="/b", at_ns=9))
+    with pytest.raises(UsageError, match="more than one topic: /a, /b") as error:
+        pose_table(two, None, None)
+    assert error.value.hint == "add --topic"
+    assert len(columns(pose_table(two, "/b", None))["x_m"]) == 1
+    each = contents(posed(topic="/a"), posed("blue", topic="/b"))
+    assert len(columns(pose_table(each, None, None))["x_m"]) == 2
+
+
+def test_a_topic_or_a_frame_that_the_recording_lacks_is_answered_by_those_that_it_has():
+    recorded = contents(posed(topic="/a"), posed(topic="/b", frame="odom"))
+    for topic, frame in (("/c", None), (None, "world"), ("/a", "odom")):
+        with pytest.raises(UsageError, match="no such poses") as error:
+            pose_table(recorded, topic, frame)
+        assert error.value.hint == "the recording has /a in map, /b in odom"
+    with pytest.raises(UsageError) as nothing:
+        pose_table(contents(), None, None)
+    assert nothing.value.hint == "the recording has none"
 
 
 @pytest.mark.parametrize(
-    ("name", "part"), [("green", "green"), ("robot 1", "robot_1"), ("3pi", "robot_0_3pi")]
+    ("topic", "robot"),
+    [("/green/cmd_vel", "green"), ("/green/base/cmd_vel", "green"), ("/cmd_vel", "")],
 )
-def test_robots_have_valid_topics(name, part):
-    assert topic_part(name, 0) == part
+def test_a_command_is_of_the_robot_that_its_topic_names(tmp_path, topic, robot):
+    recorded = bag(tmp_path / "bag", (topic, TWIST, 6 * SECOND, twist(0.2, -0.4)))
+    (command,) = read_bag(recorded).commands
+    assert (command.robot, command.time_ns, command.v, command.w) == (robot, 6 * SECOND, 0.2, -0.4)
+
+
+@pytest.mark.parametrize(("stamp", "at_ns"), [(4 * SECOND, 4 * SECOND), (0, 6 * SECOND)])
+def test_a_stamp_in_the_header_is_the_time_unless_it_is_not_set(tmp_path, stamp, at_ns):
+    kind = "geometry_msgs/msg/TwistStamped"
+    stamped_twist = message(kind, header=header(stamp, "base"), twist=twist(0.2, 0.1))
+    recorded = bag(
+        tmp_path / "bag",
+        ("/green/cmd_vel", kind, 6 * SECOND, stamped_twist),
+        ("/green/pose", POSE, 6 * SECOND, stamped(stamp, 1.0, 2.0, 0.5)),
+    )
+    read = read_bag(recorded)
+    assert [command.time_ns for command in read.commands] == [at_ns]
+    assert [pose.time_ns for pose in read.poses] == [at_ns]
+
+
+def transform(at_ns, child, x):
+    kind = "geometry_msgs/msg/"
+    moved = message(f"{kind}Vector3", x=x, y=0.0, z=0.0)
+    turn = message(f"{kind}Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    transformed = message(f"{kind}Transform", translation=moved, rotation=turn)
+    stamp = header(at_ns, "/map")
+    return message(
+        f"{kind}TransformStamped", header=stamp, child_frame_id=child, transform=transformed
+    )
+
+
+def test_frames_that_never_move_and_poses_that_are_not_finite_are_left_out(tmp_path):
+    kind = "tf2_msgs/msg/TFMessage"
+    moving = [transform(SECOND, "green/base_link", 1.0), transform(SECOND, "/blue", math.nan)]
+    still = [transform(SECOND, "camera", 5.0)]
+    recorded = bag(
+        tmp_path / "bag",
+        ("/tf", kind, SECOND, message(kind, transforms=moving)),
+        ("/tf_static", kind, SECOND, message(kind, transforms=still)),
+    )
+    (pose,) = read_bag(recorded).poses
+    assert (pose.robot, pose.frame, pose.x) == ("green", "map", 1.0)
+
+
+def test_a_recording_of_other_things_has_neither_poses_nor_commands(tmp_path):
+    kind = "std_msgs/msg/String"
+    read = read_bag(bag(tmp_path / "bag", ("/chatter", kind, 1, message(kind, data="hello"))))
+    assert read == contents()
+    with pytest.raises(UsageError, match="no such file or folder"):
+        read_bag(tmp_path / "none")

@@ -6,12 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit.plants import sim
 from testkit.trials import THREE_M3PI, experiment
-from tetractl_papers.rrt import grow
+from tetractl_papers.rrt import RrtSection, grow
 
 from tetractl.control.search.rng import uniform
 from tetractl.core.clock import SECOND
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import End, Outcome
+from tetractl.core.setup import Bounds
 from tetractl.model.shapes import Circle
 from tetractl.run.checked_controller import build_controller
 from tetractl.spec.load import parse_spec
@@ -84,3 +85,59 @@ def test_several_robots_and_one_that_stands_are_refused():
     text = experiment(robots=[still]).model_dump_json()
     with pytest.raises(InvalidSpecError, match="speed in the spec is 0"):
         parse_spec(text, "s.yaml", ["controller={type: rrt}"])
+
+
+# ---- the tree itself ----
+
+EMPTY = Obstacles.from_shapes([])
+ARENA = Bounds(-100, 50, 900, 550)
+HERE = np.array([0.0, 100.0])
+THERE = np.array([800.0, 500.0])
+
+
+def grown(draws, target=THERE, edge=100.0, region=EMPTY):
+    return grow(region, ARENA, HERE, target, edge, np.array(draws, dtype=float))
+
+
+def test_a_target_within_an_edge_is_reached_by_the_first_node():
+    near = HERE + np.array([90.0, 0.0])
+    path = grown([[0.5, 0.15, 0.1]], near)  # the point (50, 100)
+    assert path.tolist() == [[50, 100], near.tolist()]
+
+
+def test_draws_below_the_bias_lead_straight_to_the_target():
+    """In edges of the full length, of which the last ends at the target."""
+    target = HERE + np.array([250.0, 0.0])
+    below = RrtSection.goal_bias - 1e-9
+    path = grown([[below, 0.9, 0.9]] * 2, target)
+    assert path == pytest.approx(np.array([[100, 100], [200, 100], [250, 100]]))
+    upwards = grown([[RrtSection.goal_bias, 0.1, 1.0]] * 2, target)
+    assert upwards is None  # a random point instead: straight up from the start
+
+
+def test_other_draws_are_points_of_the_arena_by_their_fractions():
+    target = np.array([400.0, 300.0])
+    path = grown([[0.5, 0.4, 0.5]], target, edge=1000.0)
+    assert path[0] == pytest.approx([-100 + 0.4 * 1000, 50 + 0.5 * 500])
+
+
+def test_an_edge_begins_at_the_nearest_node():
+    draws = [[0.5, 0.2, 0.1], [0.5, 0.2, 0.2], [0.5, 0.3, 0.2]]  # (100, 100), (100, 150), ...
+    path = grown(draws, np.array([300.0, 150.0]), edge=100.0)
+    assert path == pytest.approx(np.array([[100, 100], [100, 150], [200, 150], [300, 150]]))
+
+
+def test_a_point_that_is_a_node_already_adds_none():
+    same = [[0.5, 0.1, 0.1]] * 3  # the start itself
+    assert grown(same) is None
+    path = grown([*same, [0.5, 0.15, 0.1]], HERE + np.array([90.0, 0.0]))
+    assert len(path) == 2
+
+
+def test_the_end_of_a_path_must_be_clear_too():
+    target = HERE + np.array([90.0, 0.0])
+    post = Obstacles.from_shapes([Circle(type="circle", center=(70, 100), radius=5).shape()])
+    assert grown([[0.5, 0.15, 0.1]], target, region=post) is None
+    # round it: (60, 130), then (90, 130), from which the target is free
+    path = grown([[0.5, 0.16, 0.16], [0.5, 0.19, 0.16]], target, region=post)
+    assert path[-1].tolist() == target.tolist()

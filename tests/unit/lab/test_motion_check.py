@@ -8,11 +8,24 @@ import numpy as np
 import pytest
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Pose
+from tetractl.core.poses import UNSTATED, Pose, Sight
+from tetractl.core.robot_step import PARTS
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
-from tetractl.spec.lab_section import LabLimits
+from tetractl.lab.motion_check import (
+    ANOTHER,
+    BACKWARD,
+    DOES_NOT_MOVE,
+    OF_CELLS,
+    SLACK_RAD,
+    WRONG_WAY,
+    MotionCheck,
+    excess_of,
+    exclude_zero,
+    fault_of,
+    out_of_bounds,
+)
+from tetractl.spec.lab_section import UNTRACKED_STOP_S, LabLimits
 
 pytestmark = pytest.mark.slow
 
@@ -323,3 +336,133 @@ def test_a_cell_has_no_drive(radius, part):
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.25])
 def test_a_robot_that_obeys_late_may_repeat_its_pose_between_short_drives(delay):
     assert refused_repeats(lambda pose: pose, SECOND // 10, SECOND // 5, delay=delay) == []
+
+
+SLACK = np.array([5.0, 5.0, 0.1])
+IN_BOUNDS = np.array([[10.0, 0.0, 0.2], [8.0, -1.0, 0.1], [12.0, 1.0, 0.3]])
+
+
+@pytest.mark.parametrize(
+    ("part", "travelled", "value", "limit", "unit"),
+    [
+        (0, 20.0, 40.0, 34.0, "mm"),
+        (0, -3.0, -6.0, 6.0, "mm"),
+        (1, 7.0, 14.0, 12.0, "mm"),
+        (1, -9.0, -18.0, -12.0, "mm"),
+        (2, 0.5, 0.5, 0.4, "rad"),
+        (2, -0.2, -0.2, 0.0, "rad"),
+    ],
+)
+def test_the_excess_is_the_part_furthest_out_and_its_nearer_bound_in_mm_or_rad(
+    part, travelled, value, limit, unit
+):
+    """The spec's unit of length is 2 mm here."""
+    motion = IN_BOUNDS.copy()
+    assert not out_of_bounds(motion, SLACK).any()
+    motion[0, part] = travelled
+    assert np.flatnonzero(out_of_bounds(motion, SLACK)).tolist() == [part]
+    excess = excess_of(motion, SLACK, 2.0, robot=3)
+    assert (excess.value, excess.limit) == pytest.approx((value, limit), abs=1e-12)
+    assert (excess.unit, excess.robot) == (unit, 3)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "excluded"),
+    [
+        ([[1, 0, 0], [2, 0, 0]], True),
+        ([[-2, 0, 0], [-1, 0, 0]], True),
+        ([[-1, 0, 0.1], [1, 0, 0.2]], True),
+        ([[-1, 0, -0.2], [1, 0, -0.1]], True),
+        ([[0, 0, 0], [2, 0, 0]], False),
+        ([[-1, 0, -0.1], [1, 0, 0.1]], False),
+    ],
+)
+def test_bounds_exclude_zero_if_a_part_must_have_one_sign(bounds, excluded):
+    assert bool(exclude_zero(np.array(bounds, dtype=float))) is excluded
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "around", "bounds", "text"),
+    [
+        (0, 0, 0, (100, 0), DOES_NOT_MOVE),
+        (0, 0, 0, (0, 2.0), DOES_NOT_MOVE),
+        (40, 0, 0, (40, 2.0), "around"),
+        (-50, 0, 0, (100, 0), BACKWARD),
+        (0, 0, -2.0, (0, 2.0), WRONG_WAY),
+        (50, 0, 0, (100, 0), "along"),
+        (50, 0, 0, (0, 0), "along"),
+        (-50, 0, 0, (5, 0), "along"),
+        (0, 50, 0, (0, 0), "across"),
+        (0, 0, 1.0, (0, 0), "around"),
+    ],
+)
+def test_a_motion_that_no_command_explains_is_described_by_its_first_reason(
+    along, across, around, bounds, text
+):
+    commanded_along, commanded_around = bounds
+    commanded = [commanded_along, 0.0, commanded_around]
+    motion = np.array([[along, across, around], commanded, commanded], dtype=float)
+    said = fault_of(motion, SLACK, has_wheels=True)
+    expected = {"along": PARTS[0], "across": PARTS[1], "around": PARTS[2]}
+    assert said == (ANOTHER.format(expected[text]) if text in expected else text)
+    of_cell = fault_of(motion, SLACK, has_wheels=False)
+    assert of_cell == OF_CELLS.get(said, said)
+
+
+@pytest.mark.parametrize("mm", [1.0, 1000.0, 0.01])
+@pytest.mark.parametrize(("off_mm", "refused"), [(7.3, False), (7.5, True)])
+def test_a_standing_robot_may_be_off_by_its_slack_and_noise_in_any_unit(mm, off_mm, refused):
+    """The slack is 0.03 s at 180 mm/s, and the noise is 2 mm."""
+    rules = GuardRules(
+        ("one",), (SPEED / mm,), (A,), ARENA, LabLimits(), wheel_radius=40 / mm, mm=mm
+    )
+    for angle in np.arange(4) * math.pi / 2:
+        check = MotionCheck(rules, 2.0 / mm, 0.12)
+        before = Pose(900.0 / mm, 800.0 / mm, 0.0)
+        check.exposed((FRAME,))
+        assert check.take_pose(0, before, before) is None
+        check.exposed((2 * FRAME,))
+        off = off_mm / mm
+        pose = Pose(before.x + off * math.cos(angle), before.y + off * math.sin(angle), 0.0)
+        fault = check.take_pose(0, before, pose)
+        assert (fault is not None) is refused
+        if refused:
+            assert abs(fault.excess.value) == pytest.approx(off_mm)
+            assert abs(fault.excess.limit) == pytest.approx(7.4)
+
+
+@pytest.mark.parametrize("sight", [UNSTATED, Sight(noise_rad=0.02, noise_mm=1.0)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_standing_robot_may_turn_by_its_slack_and_twice_the_error_of_a_heading(sight, sign):
+    rules = GuardRules(("one",), (SPEED,), (A,), ARENA, LabLimits(), wheel_radius=40.0, sight=sight)
+    limit_rad = SLACK_RAD + 2 * sight.largest_error_rad
+    for off_rad, refused in [(limit_rad - 1e-3, False), (limit_rad + 1e-3, True)]:
+        check = MotionCheck(rules, 2.0, 0.12)
+        before = Pose(900.0, 800.0, 0.0)
+        check.exposed((FRAME,))
+        check.take_pose(0, before, before)
+        check.exposed((2 * FRAME,))
+        fault = check.take_pose(0, before, Pose(900.0, 800.0, sign * off_rad))
+        assert (fault is not None) is refused
+
+
+def test_a_robot_that_moves_in_a_pause_is_reported_after_a_while_from_where_it_stood():
+    check = check_of_one()
+    stood = Pose(900.0, 800.0, 0.0)
+    check.exposed((FRAME,))
+    assert list(check.pause(0, stood, stood, FRAME)) == []
+    limit_ns = round(UNTRACKED_STOP_S * SECOND)
+    moved = Pose(920.0, 800.0, 0.0)
+    first_ns = 2 * FRAME
+    for now_ns, reported in [
+        (first_ns, False),
+        (first_ns + limit_ns, False),
+        (first_ns + limit_ns + 1, True),
+    ]:
+        check.exposed((now_ns,))
+        findings = list(check.pause(0, stood if now_ns == first_ns else moved, moved, now_ns))
+        assert [finding.robot for finding in findings] == ([0] if reported else [])
+    check.exposed((now_ns + FRAME,))
+    assert list(check.pause(0, moved, stood, now_ns + FRAME)) == [], "it is back"
+    check.exposed((now_ns + 2 * FRAME,))
+    assert list(check.pause(0, stood, moved, now_ns + 2 * FRAME)) == [], "the count begins anew"

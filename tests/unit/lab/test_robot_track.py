@@ -1,6 +1,8 @@
 """Tests of which poses a robot can have reached since it was last seen."""
 
+import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -8,8 +10,10 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.robot_track import RobotTrack
-from tetractl.spec.lab_section import LabLimits
+from tetractl.lab.robot_track import JUMP_SPACING_NS, REMEMBERED_NS, PoseDecision, RobotTrack
+from tetractl.spec.lab_section import UNTRACKED_STOP_S, LabLimits
+
+LOWEST_MM, HIGHEST_MM = LabLimits().height_mm
 
 RULES = GuardRules(
     names=("green",),
@@ -137,3 +141,126 @@ def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
     assert (
         "60 mm higher" in robot.refusal(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True).text
     )
+
+
+def track(**fields):
+    return RobotTrack("one", RULES, 0, **fields)
+
+
+AT_START = Pose(0.0, 0.0, 0.0)
+
+
+def test_a_pose_is_new_unless_it_has_its_own_time_which_is_not_later():
+    robot = track(last=AT_START, last_ns=10)
+    for read_ns, own_times, is_new in [
+        (20, True, True),
+        (20, True, False),
+        (15, True, False),
+        (5, False, True),
+        (9, True, False),
+        (11, True, True),
+    ]:
+        robot.read(100, read_ns, own_times)
+        assert robot.is_new is is_new
+        assert (robot.newest_ns, robot.read_ns) == (100, read_ns)
+
+
+def test_a_robot_must_stop_once_it_was_unseen_for_longer_than_the_limit():
+    limit_ns = round(UNTRACKED_STOP_S * SECOND)
+    for untracked_ns, hidden in [(limit_ns, False), (limit_ns + 1, True)]:
+        robot = track(last=AT_START, last_ns=SECOND, newest_ns=SECOND + untracked_ns)
+        assert (robot.hidden, robot.tracked) == (hidden, not hidden)
+        assert robot.untracked_ns == untracked_ns
+    assert not track().tracked, "before its first pose"
+    lost = track(last=AT_START, lost_ns=0)
+    assert lost.lost and not lost.tracked
+    assert not track().lost
+
+
+def test_a_robot_that_is_not_tracked_is_named_with_the_reason_and_the_time():
+    robot = track(last_ns=SECOND, newest_ns=3 * SECOND // 2)
+    assert robot.untracked_text == "one is not tracked (0.50 s)"
+    robot.decision = PoseDecision(refused="its pose jumped")
+    assert robot.untracked_text == "one is not tracked: its pose jumped (0.50 s)"
+
+
+def test_time_unseen_adds_up_and_a_quarter_of_the_time_seen_is_forgiven():
+    robot = track()
+    robot.accept(AT_START, SECOND)
+    robot.start_run()
+    unseen_s = []
+    for newest_s, last_s in [(1.05, 1.0), (1.5, 1.0), (2.0, 1.0), (3.0, 3.0), (9.0, 9.0)]:
+        robot.last_ns = round(last_s * SECOND)
+        robot.newest_ns = round(newest_s * SECOND)
+        robot.count_absence(SECOND / 10)
+        unseen_s.append(robot.unseen_ns / SECOND)
+    # unseen from 1.1 s, when its last pose is stale, until 2 s; then seen again
+    forgiven_s = 0.25 * 0.05
+    assert unseen_s == pytest.approx([0, 0.4 - forgiven_s, 0.9 - forgiven_s, 0.65 - forgiven_s, 0])
+
+
+def test_poses_are_remembered_for_a_second_and_a_fiftieth_apart():
+    robot = track()
+    for k in range(400):
+        robot.accept(AT_START, k * SECOND // 200)
+    times_ns = [earlier.exposed_ns for earlier in robot._remembered]
+    assert (robot.last, robot.last_ns) == (AT_START, 399 * SECOND // 200)
+    gaps_ns = [after - before for before, after in pairwise(times_ns)]
+    assert set(gaps_ns) == {JUMP_SPACING_NS}
+    assert robot.last_ns - times_ns[0] <= REMEMBERED_NS < robot.last_ns - times_ns[0] + gaps_ns[0]
+
+
+def test_a_run_starts_from_the_last_pose_because_robots_are_carried_before_it():
+    robot = track()
+    robot.accept(Pose(0.0, 0.0, 0.0), 0)
+    robot.accept(Pose(900.0, 0.0, 0.0), SECOND // 10)
+    robot.decision = PoseDecision(refused="its pose jumped")
+    near = Pose(905.0, 0.0, 0.0)
+    assert robot.refusal(near, SECOND // 5, driving=True) is not None
+    robot.start_run()
+    assert robot.refusal(near, SECOND // 5, driving=True) is None
+    assert robot.decision.refused == ""
+    assert robot.refusal(Pose(0.0, 0.0, 0.0), SECOND // 5, driving=True) is not None
+
+
+@pytest.mark.parametrize(
+    ("height", "tilt", "refused"),
+    [
+        (None, None, ""),
+        (LOWEST_MM, 0.0, ""),
+        (HIGHEST_MM, 0.0, ""),
+        (LOWEST_MM - 1, 0.0, "at a height of"),
+        (HIGHEST_MM + 1, 0.0, "at a height of"),
+        (None, LabLimits().tilt, ""),
+        (None, LabLimits().tilt + 0.01, "is tilted by"),
+        (None, math.nan, "is tilted by"),
+    ],
+)
+@pytest.mark.parametrize("driving", [True, False])
+@pytest.mark.parametrize("mm", [1.0, 1000.0])
+def test_a_body_is_upright_on_the_floor_whether_robots_drive_or_not(
+    height, tilt, refused, driving, mm
+):
+    robot = RobotTrack("one", replace(RULES, mm=mm), 0)
+    pose = Pose(0.0, 0.0, 0.0, None if height is None else height / mm, tilt)
+    refusal = robot.refusal(pose, 0, driving)
+    assert (refused in refusal.text) if refused else refusal is None
+
+
+def test_a_robot_whose_pose_is_a_ghosts_is_refused_whatever_it_shows():
+    robot = track(ghost="its pose moves by itself")
+    assert robot.refusal(AT_START, 0, driving=False).text == "its pose moves by itself"
+
+
+@pytest.mark.parametrize(
+    ("changed_mm", "refused"), [(39, ""), (41, "41 mm higher"), (-41, "41 mm")]
+)
+def test_a_body_that_is_lifted_in_a_run_is_refused_while_robots_drive(changed_mm, refused):
+    robot = track()
+    robot.accept(Pose(0.0, 0.0, 0.0, 50.0), 0)
+    robot.start_run()
+    pose = Pose(0.0, 0.0, 0.0, 50.0 + changed_mm)
+    refusal = robot.refusal(pose, 1, driving=True)
+    assert (refused in refusal.text) if refused else refusal is None
+    assert robot.refusal(pose, 1, driving=False) is None
+    assert robot.refusal(AT_START, 1, driving=True) is None, "without a height nothing is compared"

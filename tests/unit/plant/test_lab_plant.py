@@ -358,3 +358,18 @@ def test_a_pose_that_turns_in_a_pause_aborts():
     wait(lab, 0.7)
     with pytest.raises(AbortError, match=r"in a pause blue still moves \(0 mm/s, \+0\.20 rad/s\)"):
         lab.plant.send(Steer(0.5))
+
+
+def test_robots_that_swim_on_end_where_they_were_at_the_stop():
+    """The frame that was exposed nearest to it counts, not one before and not the newest."""
+    lab = driving(halts=False, checks_of=together)
+    wait(lab, 0.2)
+    lab.plant.stop()
+    stopped_ns = lab.plant._stopped_ns
+    wait(lab, 0.5)
+    final = lab.plant.settle().final
+    samples = lab.plant.samples()
+    off_ns = [abs(sample.observation.sampled_ns - stopped_ns) for sample in samples]
+    nearest = samples[off_ns.index(min(off_ns))].observation
+    assert final.xy.tolist() == nearest.poses.xy.tolist()
+    assert nearest.poses.xy.tolist() != samples[-1].observation.poses.xy.tolist()

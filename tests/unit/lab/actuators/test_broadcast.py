@@ -6,8 +6,9 @@ import pytest
 from testkit.device_replies import packed_reply
 
 from tetractl.core.clock import VirtualClock
-from tetractl.core.errors import WireError
+from tetractl.core.errors import AbortError, WireError
 from tetractl.lab import cobs
+from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.m3pi.broadcast import (
     COMMAND,
     REPLY_SLOT_MS,
@@ -17,10 +18,13 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     decode_command,
     decode_reply,
     encode_command,
+    stop_in_range,
 )
 from tetractl.lab.actuators.wheel_commands import Reply, Status
+from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import COUNT_MAX
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 
 
 class Link:
@@ -193,3 +197,64 @@ def test_a_failed_link_is_reported():
     assert robots.failure is None
     link.failure = "gone"
     assert robots.failure == "gone"
+
+
+class Module:
+    """Stands for the link to a radio module, which answers or not."""
+
+    def __init__(self, answers, failing=False):
+        self.answers = answers
+        self.failing = failing
+        self.commands = []
+        self.calls = []
+
+    def __call__(self, module, clock):
+        return self
+
+    def open(self, checked, alone):
+        self.calls.append(("open", checked, alone))
+        if self.failing:
+            raise AbortError("no port")
+
+    def send(self, data):
+        self.commands.append(decode_command(data[:-1]))
+        return 0
+
+    def ask_twice(self, command):
+        self.calls.append(command)
+        return b"\x02" if self.answers else None
+
+    def close(self):
+        self.calls.append("close")
+
+
+SECTION = XbeeSection(port="radio", baud=57600)
+
+
+@pytest.mark.parametrize(("alone", "answers"), [(True, True), (False, False), (False, True)])
+def test_all_robots_in_range_latch_ten_stops(monkeypatch, alone, answers):
+    module = Module(answers)
+    monkeypatch.setattr(broadcast, "Link", module)
+    clock = VirtualClock()
+    said = stop_in_range(SECTION, clock, alone)
+    assert said.startswith("sent 10 stops on radio")
+    assert [command.flags for command in module.commands] == [Flag.EMERGENCY_STOP] * STOPS
+    assert clock.now() == STOPS * STOP_GAP_NS
+    assert module.calls == [("open", False, alone), *([b"AP"] if alone else []), "close"]
+
+
+def test_a_module_that_does_not_answer_after_the_stops_is_named(monkeypatch):
+    module = Module(answers=False)
+    monkeypatch.setattr(broadcast, "Link", module)
+    with pytest.raises(AbortError, match="no XBee module answers at 57600 baud"):
+        stop_in_range(SECTION, VirtualClock(), alone=True)
+    assert len(module.commands) == STOPS
+    assert module.calls[-1] == "close"
+
+
+def test_a_port_that_cannot_be_opened_is_closed_all_the_same(monkeypatch):
+    module = Module(answers=True, failing=True)
+    monkeypatch.setattr(broadcast, "Link", module)
+    with pytest.raises(AbortError, match="no port"):
+        stop_in_range(SECTION, VirtualClock())
+    assert module.calls[-1] == "close"

@@ -1,5 +1,6 @@
 """Tests of versions, flags and poses of NatNet, at their limits."""
 
+import cmath
 import math
 
 import pytest
@@ -85,3 +86,14 @@ def test_a_rotated_placement_turns_and_scales_and_then_moves():
     pose = place.pose(body(), UpAxis.Z)
     assert (pose.x, pose.y) == pytest.approx((100 - 20, -50 + 10))
     assert (pose.heading, pose.height, pose.tilt) == pytest.approx((math.pi / 2, 30.0, 0.0))
+
+
+@pytest.mark.parametrize("rotation", [0.7, -2.0])
+@pytest.mark.parametrize("up", list(UpAxis))
+def test_any_rotation_of_a_placement_is_that_of_the_plane(rotation, up):
+    place = Placement(x=100.0, y=-50.0, rotation=rotation, scale=25.0)
+    planar = planar_pose(body((1.5, 2.5, -3.5)), up)
+    pose = place.pose(body((1.5, 2.5, -3.5)), up)
+    turned = cmath.rect(25.0, rotation) * complex(planar.x, planar.y) + complex(100, -50)
+    assert complex(pose.x, pose.y) == pytest.approx(turned)
+    assert pose.height == pytest.approx(25.0 * planar.height)

@@ -207,3 +207,33 @@ def test_the_markers_of_a_body_are_passed_over_as_each_version_has_them(version,
     sets = [i32(RIGID_BODY) + described(name, k, tail) for k, name in enumerate(("green", "blue"))]
     model = parse_modeldef(i32(2) + b"".join(sets), version)
     assert model == ModelDef((("green", 0), ("blue", 1)))
+
+
+@pytest.mark.parametrize(
+    ("version", "marker", "suffix"),
+    [
+        (Version(2, 11), 22, struct.pack("<fIIdHi", 0, 0, 0, 0.0, 6, 0)),
+        (Version(3, 0), 26, struct.pack("<IIdQQQHi", 0, 0, 0.0, 99, 0, 0, 6, 0)),
+    ],
+)
+def test_before_4_1_all_sections_of_a_frame_are_measured(version, marker, suffix):
+    own_markers = b"" if version >= (3, 0) else i32(2) + bytes(40)
+    error = struct.pack("<fH", 0.5, 1)
+    bodies = [struct.pack("<i7f", k, 1, 2, 3, 0, 0, 0, 1) + own_markers + error for k in (3, 4)]
+    channels = i32(1) + i32(7) + i32(2) + i32(3) + bytes(12) + i32(0)
+    sections = [
+        i32(1) + b"set\0" + i32(2) + bytes(24),  # marker sets
+        i32(3) + bytes(36),  # unlabelled markers
+        i32(2) + b"".join(bodies),
+        i32(1) + i32(5) + i32(1) + bodies[0],  # skeletons
+        i32(2) + bytes(2 * marker),
+        channels,  # force plates
+        channels,  # devices
+    ]
+    payload = i32(42) + b"".join(sections) + suffix
+    frame = parse_frame(payload, version)
+    assert [body.id for body in frame.bodies] == [3, 4]
+    assert (frame.params, frame.exposure) == (6, 99 if version >= (3, 0) else None)
+    for wrong in (payload[:-1], payload[4:], payload[:60] + payload[64:]):
+        with pytest.raises(WireError):
+            parse_frame(wrong, version)

@@ -4,9 +4,11 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from testkit.cli import tetractl
 from tetractl_microscope.apriltag.detect import Detector
-from tetractl_microscope.markers import INCH_MM, PAPERS, Card, arranged, drawn
+from tetractl_microscope.markers import INCH_MM, LABEL_MM, MARGIN_MM, PAPERS, Card, arranged, drawn
 
 from tetractl.core.errors import UsageError
 
@@ -65,6 +67,51 @@ def test_an_arrow_beside_the_corner_points_to_the_front(angle):
     picture[5:95, 770:995] = 255
     margins = [picture[5:95], picture[-95:-5], picture[:, 5:95].T, picture[:, -95:-5].T]
     assert [margin[:, 5:-5].min() for margin in margins] == [255] * 4
+
+
+@given(st.sampled_from(sorted(PAPERS)), st.lists(st.floats(10.0, 140.0), min_size=1, max_size=25))
+def test_cards_are_on_the_paper_in_their_order_and_do_not_overlap(paper, sides):
+    width, height = PAPERS[paper]
+    cards = [Card(number, side, "x") for number, side in enumerate(sides)]
+    pages = list(arranged((width, height), cards))
+    assert [card for page in pages for _, _, card in page] == cards
+    for page in pages:
+        boxes = []
+        for x, y, card in page:
+            whole = 1.25 * card.side_mm
+            assert x >= MARGIN_MM and x + whole <= width - MARGIN_MM + 1e-9
+            assert y + whole <= height - MARGIN_MM + 1e-9
+            assert y - LABEL_MM >= 2 * MARGIN_MM - 1e-9  # the ruler is below
+            boxes.append((x, y - LABEL_MM, x + whole, y + whole))
+        for k, (left, low, right, top) in enumerate(boxes):
+            for other_left, other_low, other_right, other_top in boxes[:k]:
+                beside = left >= other_right - 1e-9 or right <= other_left + 1e-9
+                assert beside or low >= other_top - 1e-9 or top <= other_low + 1e-9
+
+
+def test_a_row_and_a_page_are_used_as_far_as_tags_fit():
+    side = (PAPERS["a4"][0] - 2 * MARGIN_MM) / 3 / 1.25
+    (page,) = arranged(PAPERS["a4"], [Card(number, side - 1e-6, "x") for number in range(6)])
+    assert len({x for x, _, _ in page}) == 3 and len({y for _, y, _ in page}) == 2
+    tall = (PAPERS["a4"][1] - 3 * MARGIN_MM - LABEL_MM) / 1.25
+    wide = PAPERS["a4"][0] - 2 * MARGIN_MM
+    assert len(list(arranged((9999.0, PAPERS["a4"][1]), [Card(1, tall - 1e-6, "x")]))) == 1
+    assert len(list(arranged((PAPERS["a4"][0], 9999.0), [Card(1, wide / 1.25 - 1e-6, "x")]))) == 1
+    for size, side in (
+        ((9999.0, PAPERS["a4"][1]), tall),
+        ((PAPERS["a4"][0], 9999.0), wide / 1.25),
+    ):
+        with pytest.raises(UsageError, match="tag 1"):
+            list(arranged(size, [Card(1, side + 1e-6, "x")]))
+
+
+def test_the_ruler_is_100_mm_long():
+    (page,) = arranged(PAPERS["letter"], [Card(0, 50.0, "x")])
+    axes = drawn(PAPERS["letter"], page).axes[0]
+    (line,) = [line for line in axes.lines if len(line.get_xdata()) == 2]
+    assert np.ptp(line.get_xdata()) == pytest.approx(100.0) and np.ptp(line.get_ydata()) == 0
+    assert min(line.get_xdata()) == min(line.get_ydata()) == MARGIN_MM
+    assert axes.get_xlim() == (0.0, PAPERS["letter"][0])
 
 
 def test_a_tag_that_no_page_holds_is_refused():

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from testkit.microscope.needs_opencv import cv2
-from tetractl_microscope.apriltag.floor import MISFIT_MM, MOVED_PX, Floor, calibrated, placed
+from tetractl_microscope.apriltag.floor import (
+    AVERAGED,
+    MISFIT_MM,
+    MOVED_PX,
+    Floor,
+    calibrated,
+    placed,
+)
 from tetractl_microscope.apriltag.section import FloorTag, Lens
 
 MM = 1e-3
@@ -171,3 +178,56 @@ def test_the_corners_of_a_calibration_are_the_mean_of_the_pictures():
             assert calibration.plane.error_mm == pytest.approx(expected.error_mm, rel=1e-3)
             assert calibration.plane.doubt_mm == pytest.approx(expected.doubt_mm, rel=1e-3)
             assert calibration.plane.shift == pytest.approx(expected.shift, rel=1e-6)
+
+
+def test_a_camera_that_looks_straight_down_does_not_know_its_lens():
+    """A robot 300 mm above the floor would be located tens of mm off; one on the floor not."""
+    down = camera(position=(1.0, 0.8, 2.2), target=(1.0, 0.801, 0.0))
+    slanted = camera(position=(1.0, -0.4, 2.2))
+    seen = down(on_floor(PLACES))
+    high = calibrated(seen, PLACES, SIZE, None, 0.3)
+    low = calibrated(seen, PLACES, SIZE, None, 0.0)
+    assert 10.0 < high.doubt_mm < 500.0
+    assert low.doubt_mm < high.doubt_mm / 3
+    known = calibrated(slanted(on_floor(PLACES)), PLACES, SIZE, None, 0.3)
+    assert known.doubt_mm < high.doubt_mm / 3
+
+
+def test_the_errors_of_the_floor_are_those_of_its_tags():
+    pixels = camera()(on_floor(PLACES))
+    moved = PLACES.copy()
+    moved[2] += (0.02, 0.0)
+    plane = calibrated(pixels, moved, SIZE, LENS)
+    off_mm = 1000 * np.linalg.norm(plane.locate(pixels) - moved, axis=-1)
+    assert plane.worst_mm == pytest.approx(off_mm.max())
+    assert plane.error_mm == pytest.approx(np.sqrt(np.mean(off_mm**2)))
+    assert 5.0 < plane.worst_mm < 20.0
+
+
+def test_corners_are_averaged_and_the_calibration_follows_the_mean():
+    """It is made anew after 1, 2, 4, 8 and 16 images, and then after each 32."""
+    floor = Floor(TAGS, MM, LENS, 0.0)
+    exact = seen_by(camera())
+    planes = []
+    for k in range(3 * AVERAGED):
+        sign = 1 if k % 2 else -1
+        floor.see({tag: corners + sign * 1.0 for tag, corners in exact.items()}, SIZE)
+        planes.append(id(floor.plane))
+    changes = [k + 1 for k in range(len(planes)) if k == 0 or planes[k] != planes[k - 1]]
+    assert changes == [1, 2, 4, 8, 16, 32, 64, 96]
+    point = np.array([[0.9, 0.7, 0.0]])
+    assert floor.plane.locate(camera()(point)) == pytest.approx(point[:, :2], abs=2e-4)
+
+
+@pytest.mark.parametrize(("moved_px", "calibrated_still"), [(2.9, True), (3.1, False)])
+def test_a_floor_tag_that_moves_ends_the_calibration(moved_px, calibrated_still):
+    floor = Floor(TAGS, MM, LENS, 0.0)
+    exact = seen_by(camera())
+    floor.see(exact, SIZE)
+    some = {52: exact[52] + np.array([0.0, -moved_px])}
+    floor.see(some, SIZE)
+    assert (floor.plane is not None) is calibrated_still
+    floor.see({}, SIZE)
+    assert (floor.plane is not None) is calibrated_still
+    floor.see(exact, SIZE)
+    assert floor.plane is not None

@@ -136,3 +136,20 @@ def test_a_path_is_shifted_with_the_camera():
     speck.shift(5, -7)
     after = np.array([(blob.x, blob.y) for blob in speck.path])
     assert after == pytest.approx(before + np.array([5, -7]))
+
+
+def test_a_velocity_does_not_depend_on_where_the_path_is():
+    times = np.array([0.0, 0.1, 0.3, 0.4, 0.5])
+    places = np.array([(0.0, 0.0), (3.0, 1.0), (8.0, 5.0), (13.0, 4.0), (15.0, 9.0)])
+    away = np.array([500.0, -900.0])
+    near, fitted = straight(np.column_stack([times, places]))
+    far, fitted_far = straight(np.column_stack([times + 1000.0, places + away]))
+    assert far == pytest.approx(near)
+    assert fitted_far - away == pytest.approx(fitted)
+
+
+@pytest.mark.parametrize("passed_s", [0.01, 0.4])
+def test_a_speck_of_two_blobs_goes_on_at_their_speed_whatever_the_rate(passed_s):
+    blobs = path(200, 2, angle=0.0, frame_s=passed_s)
+    x, _ = Speck(1, blobs).ahead(blobs[-1].seconds + 0.05)
+    assert x == pytest.approx(blobs[-1].x + 200 * 0.05)

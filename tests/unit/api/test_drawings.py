@@ -1,10 +1,11 @@
 """Tests of what `plot`, `show` and `play_page` draw from what they are given."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 from testkit.batches import batch, experiment, group
-from testkit.trials import three_robots, write_trial
+from testkit.paths import ROOT
 
 import tetractl
 from tetractl.api.logs import as_batch, as_trial, as_trials
@@ -12,6 +13,7 @@ from tetractl.core.errors import SpecError, UsageError
 from tetractl.statistics.describe import contrast
 from tetractl.statistics.open_batch import Batch
 
+LOG = ROOT / "tests/golden/format-4-sim.mcap"
 ERRORS = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0], [3.0, 4.0, 5.0]]
 
 
@@ -35,7 +37,7 @@ def drawn(monkeypatch):
 
 
 def test_trials_are_drawn_as_asked_and_statistics_as_a_batch(drawn):
-    trial = three_robots()
+    trial = tetractl.read_log(LOG)
     statistics = group(batch(ERRORS))
     comparison = contrast([statistics, statistics])
     tetractl.plot(trial)
@@ -53,13 +55,13 @@ def test_trials_are_drawn_as_asked_and_statistics_as_a_batch(drawn):
 
 
 def test_a_figure_is_saved_only_in_a_file_that_is_named(drawn):
-    tetractl.plot(three_robots(), file="a.png")
+    tetractl.plot(LOG, file="a.png")
     assert drawn[0] == [Path("a.png")]
 
 
 @pytest.mark.parametrize(("file", "path"), [(None, None), ("a.gif", Path("a.gif"))])
 def test_a_video_is_of_one_trial(drawn, file, path):
-    trial = three_robots()
+    trial = tetractl.read_log(LOG)
     tetractl.plot(trial, "video", file=file)
     assert drawn[1:] == [("video", [trial], path)]
     assert drawn[0] == []
@@ -68,8 +70,8 @@ def test_a_video_is_of_one_trial(drawn, file, path):
 
 
 def test_trials_are_given_as_themselves_as_logs_or_as_a_folder(tmp_path):
-    path = write_trial(tmp_path / "trial-000.mcap")
-    trial = three_robots()
+    path = Path(shutil.copy(LOG, tmp_path / "trial-000.mcap"))
+    trial = tetractl.read_log(LOG)
     assert as_trial(trial) is trial
     for data in (path, str(path), tmp_path, [path], as_batch(tmp_path)):
         (read,) = as_trials(data)
@@ -80,7 +82,7 @@ def test_trials_are_given_as_themselves_as_logs_or_as_a_folder(tmp_path):
 
 
 def test_a_batch_is_given_as_itself_as_a_folder_or_as_logs(tmp_path):
-    path = write_trial(tmp_path / "trial-000.mcap")
+    path = Path(shutil.copy(LOG, tmp_path / "trial-000.mcap"))
     whole = Batch.from_results(batch(ERRORS))
     assert as_batch(whole) is whole
     for data in (tmp_path, str(tmp_path), [path]):

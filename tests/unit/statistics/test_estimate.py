@@ -10,7 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from tetractl.statistics.estimate import distributions, proportion_interval, published_distribution
+from tetractl.statistics.estimate import (
+    ArmErrors,
+    Interval,
+    distributions,
+    numeric,
+    percent,
+    proportion_interval,
+    published_distribution,
+    t_quantile,
+)
 
 lengths = st.floats(0, 5000, allow_subnormal=False)
 samples = st.lists(lengths, min_size=1, max_size=30)
@@ -169,3 +178,104 @@ def test_a_published_mean_of_0_has_no_interval():
 
 def test_a_proportion_of_no_trials_has_no_interval():
     assert proportion_interval(0, 0).reason == "no trials"
+
+
+@given(st.lists(st.floats(0.1, 1e4), min_size=4, max_size=12, unique=True), st.floats(1e-3, 1e3))
+def test_lengths_in_another_unit_give_the_same_figures_in_this_unit(values, scale):
+    ours = distribution_of(values)
+    theirs = distribution_of([scale * value for value in values])
+    for name in ("mean", "std", "median", "min", "max"):
+        assert getattr(theirs, name) == pytest.approx(scale * getattr(ours, name), rel=1e-9)
+    ends = [(ours.ci95.low, theirs.ci95.low), (ours.ci95.high, theirs.ci95.high)]
+    for mine, scaled in ends:
+        assert scaled == pytest.approx(scale * mine, rel=1e-6)
+    assert 0 < ours.ci95.low < ours.ci95.high
+
+
+@pytest.mark.parametrize(
+    ("values", "bound", "reason"),
+    [
+        ([0.0, 0.0, 9.0], None, "the median is not positive"),
+        ([1.0, 2.0, 9.0], 0.0, "the bound is not positive"),
+        ([1.0, 2.0, 9.0], -1.0, "the bound is not positive"),
+        ([0.0, 0.0, 9.0], math.nan, "the bound is not positive"),
+    ],
+)
+def test_a_tail_without_a_positive_bound_says_what_is_not_positive(values, bound, reason):
+    (distribution,) = distributions(np.array([values]), bound)
+    assert distribution.tail.ci95.reason == reason
+    assert math.isnan(distribution.tail.bound)
+    assert distribution.tail.as_dict()["n_above"] is None
+
+
+def test_the_tail_names_its_bound_with_a_unit_and_by_whom_it_was_set():
+    (stated,) = distributions(np.array([[1.0, 2.0, 85.0, 99.0]]), 85.0)
+    assert stated.tail.above == 1  # not the one at the bound
+    assert stated.tail.label == "errors above error_bound"
+    assert stated.tail.text("mm") == "1 of 4 above 85.0 mm (95 % interval 5 to 70 %)"
+    (own,) = distributions(np.array([[1.0, 2.0, 3.0]]))
+    assert own.tail.label == "errors above 10 times the median"
+    assert own.tail.text() == "0 of 3 above 20.0 (95 % interval 0 to 56 %)"
+
+
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        (Interval(1.25, 2.5, "t"), "1.2 to 2.5"),
+        (Interval.none("too few"), "none: too few"),
+        (Interval.none(""), "-"),
+        (Interval(1.0, math.inf), "-"),
+        (Interval(math.nan, 1.0), "-"),
+    ],
+)
+def test_an_interval_is_known_if_both_ends_are(interval, text):
+    assert interval.text("{:.1f}".format) == text
+    known = text == "1.2 to 2.5"
+    assert interval.known == known
+    assert interval.bounds == ([1.25, 2.5] if known else None)
+    assert (percent(interval) != "") == known
+
+
+@pytest.mark.parametrize(("mean", "std", "known"), [(5, 1, True), (5, 0, False), (0, 1, False)])
+def test_a_published_result_has_an_interval_if_its_mean_and_deviation_are_positive(
+    mean, std, known
+):
+    published = published_distribution(9, mean, std)
+    assert published.ci95.known == known
+    assert (published.n, published.mean, published.std) == (9, mean, std)
+    for unknown in (published.median, published.min, published.max, published.tail.bound):
+        assert math.isnan(unknown)
+
+
+@given(st.integers(1, 200), st.floats(0.01, 0.999))
+def test_the_bound_of_t_is_two_sided(degrees, confidence):
+    bound = t_quantile(degrees, confidence)
+    assert 2 * scipy.stats.t.sf(bound, degrees) == pytest.approx(1 - confidence, abs=1e-9)
+
+
+@given(st.integers(1, 60), st.data())
+def test_wilsons_interval_holds_the_fraction_and_mirrors_its_complement(n, data):
+    successes = data.draw(st.integers(0, n))
+    interval = proportion_interval(successes, n)
+    other = proportion_interval(n - successes, n)
+    assert 0 <= interval.low <= successes / n <= interval.high <= 1
+    assert (interval.low == 0) == (successes == 0)
+    assert (interval.high == 1) == (successes == n)
+    assert interval.low == pytest.approx(1 - other.high)
+
+
+@pytest.mark.parametrize(
+    ("values", "are_numbers"),
+    [((1, 2.5), True), ((1, "exact"), False), ((True, False), False), ((None, 1), False)],
+)
+def test_only_numbers_can_be_an_axis(values, are_numbers):
+    arms = [ArmErrors.from_errors(v, str(v), 1, np.array([1.0, 2.0])) for v in values]
+    assert numeric(arms) == are_numbers
+
+
+def test_an_arm_has_the_distribution_of_its_errors_and_its_bound():
+    arm = ArmErrors.from_errors(0.1, "0.1", 3, np.array([1.0, 2.0, 9.0]), bound=5.0)
+    assert arm.error.n == 3
+    assert arm.error.mean == 4.0
+    assert (arm.error.tail.above, arm.error.tail.stated) == (1, True)
+    assert (arm.value, arm.label, arm.arms) == (0.1, "0.1", 3)

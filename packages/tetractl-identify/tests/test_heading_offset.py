@@ -1,6 +1,7 @@
 """Tests of the angle from a robot's heading to its motion, which turning must not change."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,3 +62,87 @@ def test_intervals_of_noisy_poses_hold_the_truth():
     """95 % intervals, of 60 recordings with steps as long as their noise."""
     angles = [heading_offset(driven(seed, 0.1, noise_m=0.05), False) for seed in range(100, 160)]
     assert sum(angle.low <= 0.1 <= angle.high for angle in angles) >= 52
+
+
+def changed(steps, **fields):
+    return replace(steps, **fields)
+
+
+def same(angle, other, sign=1.0):
+    ends = (other.low, other.high) if sign > 0 else (-other.high, -other.low)
+    assert angle.value == pytest.approx(sign * other.value, abs=1e-9)
+    assert (angle.low, angle.high) == pytest.approx(ends, abs=1e-9)
+
+
+STEPS = driven(7, offset=0.2, ahead=0.02, slip=-0.1, noise_m=5e-3)
+ANGLE = heading_offset(STEPS, False)
+
+
+def test_a_unit_of_length_or_time_changes_no_angle():
+    in_mm = changed(STEPS, moved=1000 * STEPS.moved, way_sent=1000 * STEPS.way_sent)
+    same(heading_offset(in_mm, False), ANGLE)
+    slower = changed(STEPS, duration_s=7 * STEPS.duration_s)
+    same(heading_offset(slower, False), ANGLE)
+
+
+def test_a_mirrored_robot_has_the_opposite_angle():
+    mirrored = changed(STEPS, moved=STEPS.moved.conj(), turn_sent=-STEPS.turn_sent)
+    same(heading_offset(mirrored, False), ANGLE, -1.0)
+
+
+def test_a_robot_that_is_sent_backwards_and_drives_backwards_has_the_same_angle():
+    backwards = changed(STEPS, moved=-STEPS.moved, way_sent=-STEPS.way_sent)
+    turned = heading_offset(backwards, False)
+    assert turned.value == pytest.approx(ANGLE.value, abs=0.02)
+    half = np.where(np.arange(COUNT) % 2 == 0, 1.0, -1.0)
+    both = changed(STEPS, moved=half * STEPS.moved, way_sent=half * STEPS.way_sent)
+    assert heading_offset(both, False).value == pytest.approx(ANGLE.value, abs=0.02)
+
+
+def test_a_robot_that_drives_against_its_commands_is_half_a_turn_off():
+    against = heading_offset(changed(STEPS, moved=-STEPS.moved), False)
+    turn = abs(against.value - ANGLE.value)
+    assert turn == pytest.approx(math.pi, abs=0.02)
+
+
+def test_more_noise_and_fewer_blocks_make_a_wider_interval():
+    def width(steps):
+        angle = heading_offset(steps, False)
+        return angle.high - angle.low
+
+    quiet, loud = (
+        [width(driven(seed, noise_m=noise)) for seed in range(5)] for noise in (1e-3, 1e-2)
+    )
+    assert np.mean(loud) / np.mean(quiet) == pytest.approx(10, rel=0.3)
+    few = [
+        width(changed(driven(seed), block=np.arange(COUNT) // (COUNT // 3))) for seed in range(20)
+    ]
+    many = [width(driven(seed)) for seed in range(20)]
+    assert np.mean(few) > 1.3 * np.mean(many)
+
+
+def test_a_few_steps_of_another_body_hardly_matter():
+    moved = STEPS.moved.copy()
+    moved[::60] *= 1j
+    angle = heading_offset(changed(STEPS, moved=moved), False)
+    assert angle.value == pytest.approx(ANGLE.value, abs=0.03)
+
+
+def test_slow_steps_hardly_matter():
+    """Their angles are those of the noise."""
+    way = STEPS.way_sent.copy()
+    moved = STEPS.moved.copy()
+    way[::10] *= 1e-4
+    moved[::10] = 1e-4 * moved[::10] * np.exp(2j)
+    angle = heading_offset(changed(STEPS, way_sent=way, moved=moved), False)
+    assert angle.value == pytest.approx(ANGLE.value, abs=0.02)
+
+
+def test_a_robot_that_does_not_move_has_any_angle():
+    still = heading_offset(changed(STEPS, moved=0 * STEPS.moved), False)
+    assert (still.low, still.high) == (-math.pi, math.pi)
+
+
+def test_no_interval_is_wider_than_a_turn():
+    lost = heading_offset(driven(3, noise_m=50.0), False)
+    assert lost.high - lost.low <= 2 * math.pi + 1e-9

@@ -187,14 +187,16 @@ def test_points_without_bodies_may_share_a_place():
     assert refused(contents([{"target": [60, 40]}])) == []
 
 
+SETUP = parse_contents(CONTENTS, "s.yaml").experiment.setup
+
+
 @given(st.integers(0, 10_000))
 def test_the_nearest_earlier_robot_is_the_one_of_a_search_through_all(seed):
-    setup = parse_contents(CONTENTS, "s.yaml").experiment.setup
     points = np.random.default_rng(seed).uniform(-50, 50, (3, 2))
-    found = list(nearest(setup, points))
+    found = list(nearest(SETUP, points))
     assert [i for i, _, _ in found] == [1, 2]
     for i, name, distance in found:
-        gaps = {setup.names[k]: float(np.linalg.norm(points[k] - points[i])) for k in range(i)}
+        gaps = {SETUP.names[k]: float(np.linalg.norm(points[k] - points[i])) for k in range(i)}
         assert name == min(gaps, key=lambda one: gaps[one])
         assert distance == pytest.approx(gaps[name])
 

@@ -190,3 +190,9 @@ def test_what_is_no_file_with_contents_is_one_line(tmp_path, name):
         read_file(tmp_path / name)
     assert caught.value.message.startswith(str(tmp_path))
     assert "\n" not in caught.value.message
+
+
+def test_a_record_that_cannot_be_read_says_why_in_one_line(log):
+    broken = RawLog(log.path, records=[Entry(RUN, 1, 1, b"\xff")])
+    with pytest.raises(LogError, match="the record of the run cannot be read: Error parsing"):
+        _ = broken.run

@@ -138,7 +138,7 @@ def test_a_track_that_surely_follows_its_cell_stays_while_something_unknown_may_
     dish.names.part(places_of(tracks[0]), [], 1.1)
     assert all(track.meeting is not None for track in tracks)
     dish.names.part(places_of(*tracks), [], 1.2)
-    assert all(track.meeting is None for track in tracks)
+    assert all(track.meeting is None and track.question is None for track in tracks)
 
 
 def test_more_than_four_tracks_that_part_are_doubted_instead_of_asked():
@@ -285,3 +285,51 @@ def test_a_question_follows_each_track_as_each_of_its_cells():
         assert np.abs(off).max() < 0.6
     assert len(set(question.rows.ravel().tolist())) == 4
     assert dish.bank.used.sum() == 4
+
+
+def test_two_that_come_out_on_both_sides_of_the_prediction_are_equally_likely():
+    dish = Dish()
+    near = dish.track(500.0, 500.0)
+    dish.names.meet([near], 1.0, True)
+    new = dish.track(500.0, 490.0)
+    dish.bank.mean[near.row, :2] = 500.0, 510.0
+    dish.names.come_out(new, near, 3.0, False)
+    assert near.certainty == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_name_that_was_uncertain_stays_so_in_a_meeting_and_in_a_question():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    for track in tracks:
+        track.certainty = 0.6
+    dish.names.meet(tracks, 1.0, False)
+    assert dish.names.probabilities(tracks)[0] == pytest.approx(0.3, abs=0.06)
+    apart = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    dish.names.part(apart, [], 1.1)
+    in_question = dish.names.probabilities(tracks)
+    assert 0.25 < in_question[0] <= 0.6
+    dish.names.answer(20.0)
+    assert [track.certainty for track in tracks] == pytest.approx(in_question)
+    assert dish.names.probabilities(tracks) == pytest.approx(in_question)
+
+
+def test_a_question_that_is_not_decided_stays_open_and_names_by_the_better_answer():
+    dish = Dish()
+    tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
+    dish.names.meet(tracks, 1.0, False)
+    apart = {1: np.array([501.0, 530.0, 0.0]), 2: np.array([501.0, 470.0, 0.0])}
+    dish.names.part(apart, [], 1.1)
+    question = tracks[0].question
+    question.likelihood[:] = [[0.0, 2.0], [2.0, 0.0]]
+    dish.names.answer(2.0)
+    assert [track.identity for track in tracks] == [2, 1]
+    assert [track.row for track in tracks] == [question.rows[0, 1], question.rows[1, 0]]
+    assert tracks[0].question is question and dish.names.take_answers() == []
+    question.likelihood[:] = [[0.0, 20.0], [20.0, 0.0]]
+    dish.names.answer(2.1)
+    (answer,) = dish.names.take_answers()
+    assert answer.probability > 0.99
+    assert [(name.track, name.identity) for name in answer.named] == [(1, 2), (2, 1)]
+    assert answer.met == (1, 2)
+    assert dish.bank.used.sum() == 2
+    assert all(dish.bank.used[track.row] for track in tracks)

@@ -6,8 +6,20 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from tetractl_microscope.cells.cells_health import BLURRED, SeenDish, dish_lines, sharpness
+from tetractl_microscope.cells.cells_health import (
+    BLURRED,
+    DARK,
+    FAINT,
+    SATURATED,
+    SMALL_PX,
+    SeenDish,
+    cell_count,
+    dish_lines,
+    faint_line,
+    sharpness,
+)
 from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.pictures.searches import PictureSearch
 
 from tetractl.core.poses import Pose
@@ -91,3 +103,94 @@ def test_no_sharpness_without_contrast_or_without_cells():
     picture, cells = picture_of_a_cell(0.0, 1.0)
     assert sharpness(picture, cells, UM_PX, None) is None
     assert sharpness(picture, [], UM_PX, CONTRAST) is None
+
+
+def counts(width_px=11.0, **changes):
+    problems, warnings = dish_lines(("first", "second"), searches(**changes), width_px)
+    return len(problems), len(warnings)
+
+
+def light(**changes):
+    values = {"gain": 1.0, "noise": 2.0, "contrast": 60.0, "changed": 0.01, "lost": False}
+    return Light(**(values | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"level": DARK - 0.1}, (1, 0)),
+        ({"level": DARK}, (0, 0)),
+        ({"level": SATURATED}, (0, 0)),
+        ({"level": SATURATED + 0.1}, (1, 0)),
+        ({"sure": SURE}, (0, 0)),
+        ({"sure": SURE - 0.01}, (0, 1)),
+        ({"sure": 0.0, "poses": (Pose(0, 0, 0), None)}, (1, 0)),  # one line is enough
+        ({"sharpness": BLURRED}, (0, 0)),
+        ({"sharpness": BLURRED - 0.001}, (0, 1)),
+        ({"sharpness": None}, (0, 0)),
+        ({"width_px": SMALL_PX}, (0, 0)),
+        ({"width_px": SMALL_PX - 0.1}, (0, 1)),
+        ({"light": light(limit=60.0 / FAINT - 0.01)}, (0, 0)),
+        ({"light": light(limit=60.0 / FAINT + 0.01)}, (0, 1)),
+        ({"light": light(contrast=None, lost=True, changed=0.4)}, (1, 0)),
+        ({"light": light(contrast=None)}, (0, 1)),
+    ],
+)
+def test_each_limit_has_one_line_and_nothing_is_said_at_the_limit(changes, expected):
+    assert counts(**changes) == expected
+
+
+def test_a_moved_stage_is_named_with_the_part_of_the_image_that_differs():
+    (line,), _ = dish_lines(("a", "b"), searches(light=light(lost=True, changed=0.4)), 11.0)
+    assert line.startswith("40 % of the image differs")
+
+
+def test_no_images_say_nothing():
+    assert dish_lines(("a", "b"), [], 1.0) == ([], [])
+
+
+def test_single_bad_images_say_nothing_of_light_and_focus():
+    good, dark = searches(), searches(level=1.0, sharpness=0.01, light=light(contrast=1.0))
+    assert dish_lines(("a", "b"), [*dark[:9], *good[:11]], 11.0) == ([], [])
+
+
+def test_cells_in_view_are_the_robots_that_are_seen_and_the_others():
+    other = Pose(5, 5, 0)
+    assert cell_count(searches(unknown_objects=(other, other))) == 4
+    assert cell_count(searches(poses=(None, Pose(1, 1, 0)), unknown_objects=(other,))) == 2
+    assert cell_count(searches(poses=(None, None))) == 0
+
+
+def test_a_faint_contrast_is_said_with_both_numbers():
+    assert "median of 9 grey levels" in faint_line(9.0, 8.0)
+    assert "below 8 are missed" in faint_line(9.0, 8.0)
+    assert "by 8 grey levels" in faint_line(None, 8.0)
+    assert faint_line(80.0, 8.0) is None
+
+
+@pytest.mark.parametrize("place", ["left", "top", "right", "bottom"])
+def test_the_sharpness_of_a_cell_at_the_edge_is_that_of_what_is_seen(place):
+    grey, (cell,) = picture_of_a_cell(0.5, 1.0)
+    usual = sharpness(grey, [cell], UM_PX, CONTRAST)
+    cut = 30
+    part = {
+        "left": grey[:, cut:],
+        "top": grey[cut:],
+        "right": grey[:, :-cut],
+        "bottom": grey[:-cut],
+    }[place]
+    x = cell.x - (cut * UM_PX if place == "left" else 0)
+    y = cell.y - (cut * UM_PX if place == "bottom" else 0)
+    moved = SimpleNamespace(x=x, y=y, long_um=52.0)
+    found = sharpness(np.ascontiguousarray(part), [moved], UM_PX, CONTRAST)
+    assert found == pytest.approx(usual, rel=0.25)
+
+
+def test_the_sharpness_is_relative_to_the_contrast_and_that_of_the_middle_cell():
+    grey, (cell,) = picture_of_a_cell(0.5, 1.0)
+    usual = sharpness(grey, [cell], UM_PX, CONTRAST)
+    assert sharpness(grey, [cell], UM_PX, CONTRAST / 2) == pytest.approx(2 * usual)
+    empty = SimpleNamespace(x=10 * UM_PX, y=10 * UM_PX, long_um=20.0)
+    assert sharpness(grey, [cell, empty, cell], UM_PX, CONTRAST) == pytest.approx(usual)
+    beyond = SimpleNamespace(x=500 * UM_PX, y=40 * UM_PX, long_um=52.0)
+    assert sharpness(grey, [beyond], UM_PX, CONTRAST) is None

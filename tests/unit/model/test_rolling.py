@@ -259,9 +259,24 @@ def test_each_robot_has_the_lag_of_its_own_wheels():
         assert together.wheels[0] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_path_of_a_lagging_wheel_is_the_integral_of_its_speed(side):
+    """One wheel falls from 100 to 40 mm/s, the other stands: half its path is driven."""
+    lag_s = 0.05
+    robots = robots_of(lag_s, wheels=(0.0, 0.0))
+    robots.wheels[side] = 100.0
+    robots.targets[side] = 40.0
+    path = robots.drive(0, np.array([80 * MS]))
+    way = 40.0 * 0.08 + 60.0 * lag_s * (1 - math.exp(-0.08 / lag_s))
+    turned = way / (2 * RADIUS) * (1 if side else -1)
+    assert path[0, 2] == pytest.approx(turned)
+    chord = np.hypot(path[0, 0] - [5.0, 6.0], path[0, 1] - [7.0, 8.0])
+    assert chord == pytest.approx(way / 2 * np.sin(turned / 2) / (turned / 2))
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_stopped_robot_stands_once_both_wheels_are_slow(sign):
-    """Its wheels have 99 and 49 mm/s e-fold by e-fold; below 20 mm/s both at 1.7 lags."""
+    """The faster wheel, at first with 100 mm/s, falls below 20 mm/s after 1.6 lags."""
     lag_s = 0.05
     for lags, stands in ((1.5, False), (1.7, True)):
         robots = robots_of(lag_s, still=20.0, wheels=(sign * 100.0, sign * 50.0))

@@ -97,9 +97,29 @@ def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
     assert np.array_equal(connected(cells, free), expected)
 
 
-def mirrored(point):
-    """The same place with the axes exchanged."""
-    return (point[1], point[0])
+WIDE = Bounds(0, 0, 1000, 600)
+THINGS = [(480, -100, 40, 650), (700, 200, 20, 500), (700, 200, 400, 20), (0, 300, 400, 25)]
+
+
+def exchanged(x, y, width, height):
+    """A rectangle with the axes exchanged; a point, of no width and height, too."""
+    return y, x, height, width
+
+
+def left_to_right(x, y, width, height):
+    return WIDE.right - x - width, y, width, height
+
+
+def upside_down(x, y, width, height):
+    return x, WIDE.top - y - height, width, height
+
+
+def shut_out_of(change, arena, start, target, walls):
+    """The result in a world that is changed."""
+    things = [wall(*change(*thing)) for thing in THINGS]
+    (start_x, start_y, *_), (target_x, target_y, *_) = change(*start, 0, 0), change(*target, 0, 0)
+    world = placed(shapes(things), (start_x, start_y), (target_x, target_y))
+    return shut_out(replace(world, arena=arena), 5.0, walls)
 
 
 @pytest.mark.parametrize("walls", [True, False])
@@ -107,19 +127,16 @@ def mirrored(point):
     ("start", "target"),
     [((100, 200), (900, 300)), ((500, 50), (850, 560)), ((30, 580), (60, 30))],
 )
-def test_with_the_axes_exchanged_nothing_changes(start, target, walls):
+def test_in_mirrors_nothing_changes(start, target, walls):
     """In an arena that is wider than tall."""
-    things = [(480, -100, 40, 650), (700, 200, 20, 500), (700, 200, 400, 20), (0, 300, 400, 25)]
-    across = replace(
-        placed(shapes([wall(*thing) for thing in things]), start, target),
-        arena=Bounds(0, 0, 1000, 600),
-    )
-    exchanged = [wall(y, x, height, width) for x, y, width, height in things]
-    upwards = replace(
-        placed(shapes(exchanged), mirrored(start), mirrored(target)), arena=Bounds(0, 0, 600, 1000)
-    )
-    least = shut_out(across, 5.0, walls)
-    assert shut_out(upwards, 5.0, walls) == pytest.approx(least, abs=1e-6)
+    least = shut_out_of(lambda *thing: thing, WIDE, start, target, walls)
+    for change, arena in (
+        (exchanged, Bounds(0, 0, 600, 1000)),
+        (left_to_right, WIDE),
+        (upside_down, WIDE),
+    ):
+        found = shut_out_of(change, arena, start, target, walls)
+        assert found == pytest.approx(least, abs=1e-6)
 
 
 def test_how_near_a_robot_comes_is_never_overstated():

@@ -102,12 +102,14 @@ def test_speeds_follow_arrhenius_from_0_to_40_degrees(celsius):
             speed_factor(outside)
 
 
-def test_no_cell_is_larger_or_smaller_than_by_half_of_the_mean():
+def test_cells_vary_as_cultures_do_but_no_size_by_more_than_half_of_its_mean():
     drawn = Swimmers.drawn(np.random.default_rng(91), 20_000)
     for values, mean in ((drawn.width, 26.3), (drawn.helix_um, 8.0), (drawn.length, 52.3)):
         assert 0.5 * mean <= values.min() < values.max() <= 1.5 * mean
         assert values.mean() == pytest.approx(mean, rel=0.02)
     assert not drawn.resting.any()
+    assert np.median(drawn.a) == pytest.approx(4.0, rel=0.02)
+    assert np.std(np.log(drawn.a)) == pytest.approx(0.25, rel=0.02)
     assert np.ptp(drawn.heading) == pytest.approx(math.tau, rel=0.01)
     assert drawn.phase.min() >= 0
 

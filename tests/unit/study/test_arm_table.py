@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from testkit.studies import STUDY, run
 
+from tetractl.core.plan import Outcome
 from tetractl.statistics.estimate import distributions
 from tetractl.statistics.flagged import SAFETY
+from tetractl.study import arm_table
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
 from tetractl.study.figure import study_figure, write_figures
 from tetractl.study.load_study import arm_name
@@ -103,6 +105,36 @@ def test_the_table_counts_what_must_not_happen(ran, monkeypatch):
     assert columns["left the arena"] == [1, 1, *others]
     assert "touched one another" not in columns
     assert table.header.index("left the arena") < table.header.index("95 % interval")
+
+
+def test_of_many_arms_the_first_are_listed_and_the_rest_are_counted(ran, monkeypatch):
+    whole = arms_table(ran.loaded, ran.store)
+    monkeypatch.setattr(arm_table, "LISTED", 8)
+    assert arms_table(ran.loaded, ran.store).note == whole.note
+    monkeypatch.setattr(arm_table, "LISTED", 3)
+    table = arms_table(ran.loaded, ran.store)
+    assert [row[0] for row in table.rows] == [row[0] for row in whole.rows][:3]
+    assert table.note.endswith("; and 5 more arms, listed in the table of trials")
+
+
+def test_aborted_trials_are_counted_in_their_arm(ran, monkeypatch):
+    arm = ran.loaded.arms[1]
+    results = ran.store.batches[arm.name].results
+    for number in (1, 4):
+        aborted = replace(results[number].result, outcome=Outcome.ABORTED)
+        monkeypatch.setitem(results, number, replace(results[number], result=aborted))
+    table = arms_table(ran.loaded, ran.store)
+    columns = {column.name: column.values for column in table.columns}
+    assert columns["aborted"] == [0, 2, 0, 0, 0, 0, 0, 0]
+
+
+def test_only_trials_that_all_arms_of_a_group_have_count(ran, monkeypatch):
+    first, second = ran.loaded.arms[:2]
+    expected = np.delete(np.mean([errors(ran, first), errors(ran, second)], axis=0), 2)
+    monkeypatch.delitem(ran.store.batches[second.name].results, 2)
+    group = group_of(ran.store, 1, [first, second])
+    assert group.errors == pytest.approx(expected)
+    assert group.arms == 2
 
 
 @pytest.mark.long

@@ -538,3 +538,86 @@ def test_a_camera_that_slipped_before_the_run_is_what_no_camera_shows(ended_s, u
     end = at(ended_s, "fault", phase="end", row=0)
     truth = day([starts(0.8), *RUN, truth_at(2.2, 180.0), end], fault=slips)
     assert truth.false_as_true is unseen
+
+
+REACTION_S = LabLimits().reaction
+LEFT_MM = SETUP.arena.left * SETUP.metres * 1000
+PUSHED = {"kind": "pushed", "fault": "pushed", "robot": "blue", "by": [30.0, 40.0], "at": 0.5}
+NOISY = {"kind": "frames lost", "fault": "freeze", "at": 0.5}
+DEAF = {"kind": "robot deaf", "fault": "deaf", "robot": "green", "share": 1.0, "at": 0.5}
+LATE_RADIO = {"kind": "radio late", "fault": "late_radio", "by": 0.4, "at": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("unseen_s", "fault", "more_mm"),
+    [
+        (0.0, NOISY, 0.0),
+        (0.3, NOISY, 0.0),
+        (0.3, PUSHED, 50.0),
+        (0.3, DEAF, 180.0 * 0.25),  # its watchdog
+        (0.3, LATE_RADIO, 180.0 * 0.4),
+    ],
+)
+def test_a_robot_may_roll_on_for_as_long_as_it_is_unseen_and_a_stop_is_on_its_way(
+    unseen_s, fault, more_mm
+):
+    """At 180 mm/s; a stop takes 0.05 s and the slowest wheels 0.08 s, less the guard's reaction."""
+    rolls_s = max(0.0, unseen_s + 0.05 + 0.08 - REACTION_S)
+    allowed_mm = 180.0 * rolls_s + 2.0 + more_mm  # and half the noise
+    for beyond_mm, wrong in ((-1.0, False), (1.0, True)):
+        poses = [[LEFT_MM - allowed_mm - beyond_mm, 800.0, 0.0], *STARTS[1:]]
+        driven = truth_at(2.0, 180.0, unseen=(1000 * unseen_s, 10.0, 10.0))
+        events = [*RUN, starts(0.6), driven, truth_at(2.25, 0.0, poses), END]
+        assert ("outside" in broken(events, fault=fault)) == wrong
+
+
+def test_the_worst_robot_and_the_worst_pair_are_named_with_their_excess():
+    poses = [[LEFT_MM - 20.0, 800.0, 0.0], [LEFT_MM - 60.0, 1200.0, 0.0], STARTS[2]]
+    events = [*RUN, truth_at(2.0, 0.0, poses), truth_at(2.5), END]
+    outside = [v for v in violations(day(events)) if v.name == "outside"]
+    assert [(v.at_s, v.finding) for v in outside] == [
+        (2.0, f"{SETUP.names[1]}: 58 mm beyond what is allowed")
+    ]
+    near = [[900.0, 800.0, 0.0], [900.0, 1180.0, 0.0], [900.0, 1200.0, 0.0]]
+    (pair,) = [
+        v for v in violations(day([*RUN, truth_at(2.0, 0.0, near), END])) if v.name == "outside"
+    ]
+    assert pair.finding.startswith(f"{SETUP.names[1]}, {SETUP.names[2]}: ")
+
+
+@pytest.mark.parametrize(
+    ("fault", "checked"),
+    [
+        (LOST, True),
+        (GHOST | {"turn": 0.001}, False),  # it looks like a true motion
+        (SENDER, False),
+    ],
+)
+def test_places_are_not_checked_if_nobody_could_keep_them(fault, checked):
+    poses = [[LEFT_MM - 200.0, 800.0, 0.0], *STARTS[1:]]
+    events = [*RUN, starts(0.6), truth_at(2.25, 0.0, poses), END]
+    assert ("outside" in broken(events, fault=fault)) == checked
+
+
+def test_a_day_without_exposures_violates_no_invariant_of_motion():
+    refused = "error: trial 1: green is not tracked (0.30 s)\n"
+    assert broken([starts(0.5)], said=refused) == set()
+
+
+@pytest.mark.parametrize(
+    ("shown", "wrong"), [(0.45, True), (0.55, False)], ids=["less than half", "more than half"]
+)
+def test_a_driven_robot_is_shown_for_half_of_any_four_seconds(shown, wrong):
+    period = 20
+    rows = []
+    for k in range(500):
+        seen = (k % period) < shown * period
+        rows.append(truth_at(1.0 + k / 120, unseen=(10.0 if seen else 150.0, 10.0, 10.0)))
+    events = [*RUN, *rows, at(5.2, "guard", state="ready", reason=""), truth_at(6.5)]
+    assert ("driven blind" in broken(events)) == wrong
+
+
+def test_a_robot_may_be_unseen_for_long_while_nothing_may_be_driven():
+    rows = [truth_at(1.5 + k / 120, unseen=(150.0, 10.0, 10.0)) for k in range(600)]
+    pause = at(1.4, "guard", state="ready", reason="")
+    assert "driven blind" not in broken([*RUN, pause, *rows, truth_at(8.0)])

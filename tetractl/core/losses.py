@@ -141,7 +141,11 @@ class Losses:
         return self._count_waiting(self._rule)
 
     def _add_dead(self, dead: Bools | None) -> None:
-        """Mark robots as dead, shape (N,), and as lost if the rule says so."""
+        """Mark robots as dead, shape (N,).
+
+        Those that are present also count as lost if the rule has `dead` and not `ends`. None marks
+        no robot.
+        """
         if dead is None or not (dead & ~self.dead).any():
             return
         self.dead = self.dead | dead

@@ -59,7 +59,7 @@ STAND_S = 0.25
 ATTEMPTS = 4
 """Number of attempts at a motion if frames are missing."""
 FIRST_OUTPUT = 6
-"""Smallest output with which a channel is driven, in 127ths of full speed."""
+"""Minimum output with which a channel is driven, in 127ths of full speed."""
 OUTPUT_STEP = 4
 """Step between two outputs of a channel, in 127ths of full speed."""
 SLOWEST_RAD_S = 0.25

@@ -71,7 +71,7 @@ class WheelDriveSection(Model):
     transmission. By default, they are not rounded.
     """
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
-    """Largest count at which the host assumes that a wheel does not move. Needs `count`."""
+    """Maximum count at which the host assumes that a wheel does not move. Needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
     """Maximum difference between a wheel's true dead zone and `dead_zone` [counts].
 

@@ -96,12 +96,14 @@ class OnFailure(Enum):
 
     @classmethod
     def of_batch(cls, plant: PlantSection, keep_going: bool | None = None) -> "OnFailure":
-        """Return what a batch does after a trial has failed.
+        """Choose GO_ON_IF_CLEAR if the batch continues after an abort, otherwise END.
 
         Args:
             plant: The section of the plant.
             keep_going: Whether the batch continues after an abort. By default, it continues in an
-                emulated lab, where every trial has its own lab, with the robots at their starts.
+                emulated lab that does not run in real time, where every trial has its own lab,
+                with the
+                robots at their starts.
         """
         if keep_going is None:
             keep_going = plant.type == EMULATED_PLANT and not plant.real_time

@@ -89,7 +89,7 @@ class Stage:
 
     @property
     def mm(self) -> float:
-        """How many millimetres one length unit of the spec has."""
+        """Size of a length unit of the spec [mm]."""
         return self.setup.metres * 1000
 
 

@@ -38,10 +38,13 @@ NOISE = 0.0
 It is neglected: the slack of `WANDERS` is much larger.
 """
 MAGNET_RAD = 3 * DIPOLE_SD_RAD
-"""Largest angle between a cell's magnet and its axis [rad]: three standard deviations."""
+"""Maximum angle between a cell's magnet and its axis [rad]: three standard deviations."""
 HEADING_RAD = 0.06
-"""Largest error of a measured heading [rad]: four standard deviations of 0.0146 rad, which the
-headings in emulated pictures had (450 poses of three cells)."""
+"""Maximum error of a measured heading [rad].
+
+It is four standard deviations of 0.0146 rad, which the headings in emulated pictures had (450
+poses of three cells).
+"""
 
 
 def cell_checks(rules: GuardRules) -> GuardChecks:

@@ -69,7 +69,7 @@ class Organism:
 
     @property
     def quickness(self) -> float:
-        """How many of its lengths the fastest swim per second, relative to Tetrahymena."""
+        """Maximum speed in body lengths per second, relative to that of Tetrahymena."""
         fastest = self.speed_um_s[1] / self.body_um[0]
         return fastest / (TETRAHYMENA.speed_um_s[1] / TETRAHYMENA.body_um[0])
 

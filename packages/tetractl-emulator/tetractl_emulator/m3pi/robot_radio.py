@@ -67,9 +67,9 @@ class RobotRadio(SerialDevice):
 
     @property
     def times(self) -> int:
-        """How many times a robot receives each transmission: 2 during the fault `doubled_packets`.
+        """Number of times that a robot receives each transmission.
 
-        Otherwise it is 1.
+        It is 2 during the fault `doubled_packets`, otherwise 1.
         """
         return 2 if self.acting.of_kind("doubled_packets") else 1
 

@@ -200,7 +200,7 @@ class Truth:
 
     @property
     def unit_mm(self) -> float:
-        """How many millimetres one length unit of the spec has."""
+        """Size of a length unit of the spec [mm]."""
         return self.setup.metres * 1000
 
     # What was recorded
@@ -489,7 +489,10 @@ class Truth:
 
     @cached_property
     def late_s(self) -> float:
-        """How much older than they seem frames without their own times can be [s]."""
+        """Maximum age of a frame beyond the age that it seems to have [s].
+
+        It is 0 if frames have their own times.
+        """
         return 0.0 if self.dated else self.longest_delay_s
 
     @cached_property

@@ -34,11 +34,11 @@ class CellsSection(PictureSection):
     mirrored: bool = False
     """Whether pictures are mirrored left to right; they are mirrored back before `rotation`."""
     organism: Annotated[str, KindName(ORGANISMS)] = "tetrahymena"
-    """What swims; its sizes and speeds decide which objects are cells."""
+    """Kind of cell in the dish. Its sizes and speeds decide which objects are cells."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
     """Time before the first frame in which pictures for the background are taken [s]."""
     connect: Positive = 8.0
-    """Longest wait for the source to open, and then for the first pictures and background [s]."""
+    """Maximum wait for the source to open, and then for the first pictures and background [s]."""
 
     def bounds(self) -> dict[str, str]:
         """Return the source and scale of the pictures as {name: text}, for display."""

@@ -71,7 +71,7 @@ class Choice(TrialRobots):
     If empty, the trial chooses.
     """
     seconds: Positive = Field(default=8.0, le=600)
-    """How long the field rotates before the cells are chosen [s]."""
+    """Time for which the field rotates before the cells are chosen [s]."""
     turn: Positive = Field(default=3.2, le=60)
     """Duration of one turn of the field [s].
 

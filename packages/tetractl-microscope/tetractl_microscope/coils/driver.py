@@ -115,7 +115,7 @@ def decode_reply(frame: bytes) -> FieldReply:
 
 SILENCE_NS = SECOND // 2
 REPLY_S = 0.1
-"""Longest wait for a reply [s]: a driver needs 4 ms at 115200 baud, 50 ms at 9600."""
+"""Maximum wait for a reply [s]: a driver needs 4 ms at 115200 baud, 50 ms at 9600."""
 HINT = "the watchdog of the current driver switches the field off; the cells swim on"
 
 

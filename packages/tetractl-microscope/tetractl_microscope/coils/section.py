@@ -146,9 +146,9 @@ class FieldSection(ActuatorSection):
     coils: CoilsSection
     """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
-    """Greatest current of each coil pair [A]."""
+    """Maximum magnitude of the current in each coil pair [A]."""
     slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
-    """Greatest change of each current [A/s]."""
+    """Maximum rate of change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
     """Time without a command after which the driver's firmware switches the field off [s]."""
     supply_min_v: NonNegative = 0.0

@@ -77,7 +77,7 @@ WORDS_BELOW = "position_x"
 
 @dataclass(frozen=True, slots=True)
 class AxisStep:
-    """What one unit along an axis means.
+    """The meaning of one unit along an axis of a file.
 
     Attributes:
         size: Its size [um or s]. None if it is not stated.

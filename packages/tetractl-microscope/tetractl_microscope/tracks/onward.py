@@ -31,7 +31,10 @@ least a tenth of their length. Of slower beads, up to .57 do, but few of these a
 most do not get MOVED lengths away.
 """
 LONGEST_S = 1.0
-"""Longest time of a displacement of a track that is tried [s]: swimmers turn, places scatter."""
+"""Maximum time of a displacement of a track that is tried [s].
+
+Over longer times, swimmers turn; over shorter ones, positions scatter.
+"""
 PAIRS_MIN = 10
 """Minimum number of independent pairs of displacements for a cosine."""
 EVEN = 0.2

@@ -25,7 +25,7 @@ class WheelSection(Model):
     gain_mm: float = Field(default=1000 / 127, gt=0, le=100, allow_inf_nan=False)
     """Speed per count [mm/s]."""
     dead_zone: int = Field(default=0, ge=0, le=60)
-    """Largest wheel count at which the wheel does not move."""
+    """Maximum wheel count at which the wheel does not move."""
     invert: bool = False
     """Whether the motor turns backward at positive counts."""
 

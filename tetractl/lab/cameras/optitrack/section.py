@@ -75,7 +75,7 @@ class OptitrackSection(CameraSection):
     rotation: Angle = 0.0
     """Angle from the spec's x axis to the cameras' x axis [rad]."""
     connect: Positive = 2.0
-    """Longest wait for the server's answer, and then for its stream [s]."""
+    """Maximum wait for the server's answer, and then for its stream [s]."""
     robots: tuple[TrackedRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with its rigid body."""
 

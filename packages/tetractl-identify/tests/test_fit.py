@@ -216,3 +216,152 @@ def test_equal_blocks_have_the_quantile_of_the_t_distribution():
     negative = np.vstack([few, [[-7.0]]])
     assert wider_of_blocks(negative) == pytest.approx(wider_of_blocks(few))
     assert np.isfinite(wider_of_blocks(np.zeros((5, 2)))).all()
+
+
+# rounds
+
+
+def rounds_of(monkeypatch, taus, tau_std=0.0):
+    """How many rounds a fit makes whose dead time goes through these values, and then stays."""
+    made = []
+
+    class Fit:
+        def __init__(self, frames, a, speed, dead_time):
+            self.tau = taus[0]
+            self.tau_std = tau_std
+
+        def fit_noise(self):
+            made.append("noise")
+
+        def fit_motion(self):
+            made.append("motion")
+            self.tau = taus[min(len(made) // 2, len(taus) - 1)]
+
+        def result(self, names, all_commands):
+            return names, all_commands
+
+    monkeypatch.setattr(fit, "_Fit", Fit)
+    assert fit.fit([], ("one",), None, None, 0.1, False) == (("one",), False)
+    assert made == ["noise", "motion"] * (len(made) // 2)
+    return len(made) // 2
+
+
+def test_a_fit_makes_its_rounds_and_no_more_if_the_dead_time_has_settled(monkeypatch):
+    assert rounds_of(monkeypatch, [0.1]) == fit.ROUNDS
+    early = [0.1, 0.2, 0.15, 0.15, 0.15, 0.15, 0.15]
+    assert rounds_of(monkeypatch, early) == fit.ROUNDS
+
+
+def test_a_fit_goes_on_until_its_dead_time_has_settled(monkeypatch):
+    steps = [0.1 + 0.01 * k for k in range(10)]
+    assert rounds_of(monkeypatch, steps) == 10
+    falling = [0.1 - 0.01 * k for k in range(10)]
+    assert rounds_of(monkeypatch, falling) == 10
+    assert rounds_of(monkeypatch, [0.1 + 0.01 * k for k in range(50)]) == fit.ROUNDS_MOST
+
+
+@pytest.mark.parametrize(("step_s", "rounds"), [(0.0099, fit.ROUNDS), (0.0101, fit.ROUNDS_MOST)])
+def test_half_a_deviation_is_little_enough(monkeypatch, step_s, rounds):
+    steps = [step_s * k for k in range(50)]
+    assert rounds_of(monkeypatch, steps, tau_std=0.02) == rounds
+
+
+# widening
+
+
+def widened(monkeypatch, slopes, curvatures):
+    """A fit after its deviations were widened by the slopes and curvatures of blocks (B, N, 8)."""
+    made = fitted()
+    parts = (0 * slopes, slopes - curvatures / 2, -slopes - curvatures / 2)
+    monkeypatch.setattr(_Fit, "_by_blocks", lambda self: parts)
+    made._widen()
+    return made
+
+
+BLOCKS = 40
+EVEN = np.ones((BLOCKS, 2, 8))
+
+
+def spread(std):
+    """Slopes of blocks with this deviation: alternating, so that none is an outlier."""
+    sign = np.where(np.arange(BLOCKS) % 2 == 0, 1.0, -1.0)
+    return std * sign[:, None, None] * np.ones((1, 2, 8)) * math.sqrt((BLOCKS - 1) / BLOCKS)
+
+
+def test_blocks_that_differ_as_expected_widen_only_by_their_number(monkeypatch):
+    made = widened(monkeypatch, spread(1.0), EVEN)
+    wider = stats.t.ppf(0.975, BLOCKS - 1) / stats.norm.ppf(0.975)
+    assert made.std == pytest.approx(fitted().std * wider, rel=1e-4)
+    assert made.noise_std == pytest.approx(fitted().noise_std * wider, rel=1e-4)
+
+
+@pytest.mark.parametrize("factor", [2.0, 5.0])
+def test_blocks_that_differ_more_widen_by_as_much(monkeypatch, factor):
+    made = widened(monkeypatch, spread(factor), EVEN)
+    wider = factor * stats.t.ppf(0.975, BLOCKS - 1) / stats.norm.ppf(0.975)
+    assert made.std == pytest.approx(fitted().std * wider, rel=1e-4)
+    # both robots share the dead time: their slopes add up, as their curvatures do
+    assert made.tau_std == pytest.approx(fitted().tau_std * wider * math.sqrt(2), rel=1e-4)
+
+
+def test_blocks_that_differ_less_narrow_nothing(monkeypatch):
+    made = widened(monkeypatch, spread(0.1), EVEN)
+    assert (made.std == fitted().std).all()
+    assert (made.noise_std == fitted().noise_std).all()
+    assert made.tau_std == fitted().tau_std
+
+
+def test_each_parameter_is_widened_by_its_own_blocks(monkeypatch):
+    slopes = spread(0.1)
+    slopes[:, 1, 5] *= 100.0
+    made = widened(monkeypatch, slopes, EVEN)
+    changed = made.std / fitted().std
+    assert changed[1, 1] > 5
+    changed[1, 1] = 1.0
+    assert changed == pytest.approx(np.ones((2, 3)))
+
+
+# the result
+
+
+def test_a_result_has_the_values_of_each_robot_and_its_misfits(monkeypatch):
+    rng = np.random.default_rng(1)
+    white = rng.normal(0, 0.01, 600)
+    smooth = np.convolve(rng.normal(0, 0.01, 604), np.ones(5) / 2, "valid")
+    passed = SimpleNamespace(
+        heading_residuals=np.column_stack([white, smooth]), lost=np.array([2.4, 0.6])
+    )
+    monkeypatch.setattr(_Fit, "fit_motion", lambda self, watched=False: passed)
+    monkeypatch.setattr(_Fit, "_widen", lambda self: None)
+    monkeypatch.setattr(fit, "speed_wander", lambda frames: np.array([0.2, 0.01]))
+    monkeypatch.setattr(fit, "intervals_used", lambda frames: np.array([100, 90]))
+    dead_time, (one, two) = fitted().result(("one", "two"), True)
+    assert dead_time.value == 0.12
+    assert (one.name, two.name) == ("one", "two")
+    assert (one.a.value, two.a.value) == pytest.approx((4.0, 2.0))
+    assert (one.speed.value, two.speed.value) == pytest.approx((200.0, 150.0))
+    assert (one.heading_bias.value, two.heading_bias.value) == (0.1, 0.0)
+    assert (one.lost, two.lost) == (2, 1)
+    assert (one.intervals, two.intervals) == (100, 90)
+    assert one.misfits == (fit.ALONG,)
+    assert two.misfits == (fit.HEADING,)
+    assert one.position_noise.value == pytest.approx(0.4 * math.exp(0.5))
+    assert one.heading_noise.value == pytest.approx(0.02 * math.exp(-0.3))
+    assert one.heading_walk.value == pytest.approx(0.05 * 1.5)
+    _, (_, unknown) = fitted().result(("one", "two"), False)
+    assert unknown.misfits == ()
+
+
+def test_a_speed_wanders_only_beyond_what_noise_of_positions_makes(monkeypatch):
+    """Two positions a second apart show a speed with the noise of both."""
+    passed = SimpleNamespace(heading_residuals=np.zeros((9, 2)), lost=np.zeros(2))
+    monkeypatch.setattr(_Fit, "fit_motion", lambda self, watched=False: passed)
+    monkeypatch.setattr(_Fit, "_widen", lambda self: None)
+    monkeypatch.setattr(fit, "intervals_used", lambda frames: np.array([100, 90]))
+    noisy = np.array([[math.log(20.0 / 0.4), 1.0, 0, 1.0], [0.0, 1.0, 0, 1.0]])  # 20 mm
+    limit = 2 * math.sqrt(2) * 20.0 / 200.0
+    for wander, wanders in ((limit * 0.99, False), (limit * 1.01, True)):
+        monkeypatch.setattr(fit, "speed_wander", lambda frames, w=wander: np.array([w, 0.0]))
+        _, (one, two) = fitted(noise=noisy).result(("one", "two"), True)
+        assert (one.misfits == (fit.ALONG,)) is wanders
+        assert two.misfits == ()

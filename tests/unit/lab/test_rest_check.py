@@ -1,7 +1,9 @@
 """Tests of distinguishing stationary robots from drifting poses, in virtual time."""
 
+import math
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +14,20 @@ from testkit.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Pose
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.abort_cause import CAMERA
+from tetractl.lab.frame_buffer import FrameBuffer
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.preflight import inspect
-from tetractl.lab.rest_check import LONGER, moving_robots, wait_for_rest
-from tetractl.spec.lab_section import LabLimits
+from tetractl.lab.rest_check import (
+    LATCHED,
+    LONGER,
+    Standstill,
+    drifting_robots,
+    moving_robots,
+    wait_for_rest,
+)
+from tetractl.spec.lab_section import UNTRACKED_STOP_S, LabLimits
 
 SETUP = experiment().setup
 
@@ -273,3 +285,104 @@ def test_robots_are_watched_without_a_stop_before_they_count_as_standing():
     rest, emergencies, _ = rest_of(lab)
     assert rest.moving == ("green",)
     assert emergencies[-1]
+
+
+class SeenRig:
+    """Stands for a lab whose camera has shown robots at these poses, one frame every 10 ms."""
+
+    def __init__(self, poses_of, mm=1.0, robots=1, frames=101, since_s=0.0):
+        self.mm = mm
+        self.left = range(robots)
+        self.setup = SimpleNamespace(names=("green", "blue", "red")[:robots])
+        self.limits = LabLimits()
+        buffer = FrameBuffer()
+        for k in range(frames):
+            at_ns = round(since_s * SECOND) + k * SECOND // 100
+            poses = tuple(poses_of(at_ns / SECOND))
+            fresh = tuple(pose is not None for pose in poses)
+            buffer.append(AcceptedFrame(CameraFrame(k, at_ns, at_ns, poses), poses, fresh))
+        self.loop = SimpleNamespace(frames=buffer)
+
+    def silent_ns(self):
+        return 0
+
+    def not_tracked(self, i):
+        return f"{self.setup.names[i]} is not tracked"
+
+
+@pytest.mark.parametrize("mm", [1.0, 1000.0, 0.001])
+@pytest.mark.parametrize(
+    ("rates", "moves"),
+    [
+        ((1.9, 0, 0), False),
+        ((0, -1.9, 0), False),
+        ((0, 0, 0.019), False),
+        ((2.2, 0, 0), True),
+        ((0, -2.2, 0), True),
+        ((0, 0, 0.022), True),
+        ((0, 0, -0.022), True),
+    ],
+)
+def test_a_robot_stands_below_2_mm_and_a_fiftieth_of_a_turn_per_second_in_any_unit(
+    rates, moves, mm
+):
+    along_x, along_y, turning = rates
+
+    def poses_of(time_s):
+        x, y = 900 + along_x * time_s, 800 + along_y * time_s
+        return [Pose(x / mm, y / mm, 3.14 + turning * time_s)]
+
+    rig = SeenRig(poses_of, mm)
+    assert bool(moving_robots(rig)) is moves
+    assert drifting_robots(rig) == moving_robots(rig)
+
+
+def test_the_speed_of_a_moving_robot_is_told_in_mm_and_rad_per_second():
+    rig = SeenRig(lambda at: [Pose(0.03 * at, 0.04 * at, -0.25 * at)], mm=1000.0)
+    assert moving_robots(rig) == ["green still moves (50 mm/s, -0.25 rad/s)"]
+
+
+def test_a_heading_that_passes_half_a_turn_is_no_motion():
+    def poses_of(time_s):
+        return [Pose(0.0, 0.0, math.pi if round(100 * time_s) % 2 else -math.pi)]
+
+    assert moving_robots(SeenRig(poses_of)) == []
+
+
+def test_robots_that_are_not_seen_do_not_count_as_moving():
+    limit_s = UNTRACKED_STOP_S
+    for gone_s, unseen in [(limit_s - 0.05, False), (limit_s + 0.05, True)]:
+        rig = SeenRig(lambda at, gone=gone_s: [Pose(0, 0, 0) if at < 1.0 - gone else None])
+        said = moving_robots(rig)
+        assert said == (["green is not tracked, so it is not seen to stand"] if unseen else [])
+        assert drifting_robots(rig) == []
+
+
+@pytest.mark.parametrize(("frames", "seen"), [(30, True), (12, False)])
+def test_a_robot_must_be_watched_for_most_of_a_quarter_second(frames, seen):
+    said = moving_robots(SeenRig(lambda at: [Pose(0, 0, 0)], frames=frames))
+    assert said == ([] if seen else ["green has not been watched long enough"])
+
+
+def test_all_robots_moving_is_one_line_and_one_of_them_is_its_own():
+    def poses_of(moving):
+        return lambda at: [Pose(50 * at * (i in moving), 0, 0) for i in range(2)]
+
+    assert moving_robots(SeenRig(poses_of((0, 1)), robots=2)) == [CAMERA]
+    (line,) = moving_robots(SeenRig(poses_of((1,)), robots=2))
+    assert line.startswith("blue still moves")
+    (alone,) = moving_robots(SeenRig(poses_of((0,)), robots=1))
+    assert alone.startswith("green still moves")
+
+
+def test_what_is_said_of_robots_that_do_not_stand_names_each_of_them():
+    assert (Standstill().reason, Standstill().unrest) == ("", "")
+    one = Standstill("a fault", moving=("green",))
+    assert one.reason == "a fault; still moves: green: switch it off"
+    assert one.unrest == "still moves: green: switch it off"
+    many = Standstill(moving=("green", "red"), unseen=("blue",))
+    assert many.reason == "still moves: green, red: switch them off"
+    assert many.unrest == f"{many.reason}; not seen to stand still: blue: look at it"
+    assert Standstill(unseen=("a", "b")).unrest.endswith("a, b: look at them")
+    assert Standstill(latched=True).reason == Standstill(latched=True).unrest == LATCHED
+    assert LATCHED not in Standstill(latched=True, moving=("green",)).reason

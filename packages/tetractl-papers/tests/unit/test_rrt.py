@@ -11,7 +11,8 @@ from tetractl_papers.rrt import RrtSection, grow
 from tetractl.control.search.rng import uniform
 from tetractl.core.clock import SECOND
 from tetractl.core.obstacles import Obstacles
-from tetractl.core.plan import End, Outcome
+from tetractl.core.plan import End, Outcome, Plan
+from tetractl.core.poses import Observation
 from tetractl.core.setup import Bounds
 from tetractl.model.shapes import Circle
 from tetractl.run.checked_controller import build_controller
@@ -141,3 +142,16 @@ def test_the_end_of_a_path_must_be_clear_too():
     # round it: (60, 130), then (90, 130), from which the target is free
     path = grown([[0.5, 0.16, 0.16], [0.5, 0.19, 0.16]], target, region=post)
     assert path[-1].tolist() == target.tolist()
+
+
+@pytest.mark.parametrize("heading", np.linspace(-3, 3, 9))
+def test_a_target_that_is_near_behind_a_wall_is_not_passed_yet(heading):
+    """The robot drives away from it at first, round the wall, and must not stop for that."""
+    wall = {"type": "rectangle", "left": 1320, "bottom": 1000, "width": 20, "height": 400}
+    robot = {"name": "r", "start": [1300, 1200], "target": [1360, 1200], "a": 6, "speed": 180}
+    robot["heading"] = float(heading)
+    fields = {"type": "rrt", "reach": 5, "time_limit": 60}
+    spec = experiment(robots=[robot], obstacles=[wall], controller=fields)
+    controller = spec.controller.build(spec.setup, 5)
+    seen = Observation(0, 0, 0, spec.setup.starts, np.ones(1, np.bool_))
+    assert isinstance(controller.plan(seen), Plan)

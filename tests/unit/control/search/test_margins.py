@@ -4,12 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from testkit import problems
 from testkit.trials import experiment
 
 from tetractl.control.methods.mpc_section import Collision
-from tetractl.control.search.margins import Margins, off_course
+from tetractl.control.search.margins import SIGMAS, Margins, off_course
+from tetractl.control.search.near_targets import LOST_SHARE
 from tetractl.core.motion_estimate import Estimate
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Observation, Poses
+from tetractl.core.setup import Bounds
 from tetractl.model.shapes import Circle, Rectangle
 
 BOX = Rectangle(type="rectangle", left=1000, bottom=1000, width=100, height=100).shape()
@@ -145,3 +151,80 @@ def test_margins_that_are_not_adaptive_are_the_papers_wherever_robots_are():
     applied = margins.applied(problem, 0.2, 0.1, None)
     assert applied.obstacles.shapes[0].radius == 40
     assert applied.separation == 55
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    heard_s=st.floats(0.01, 1),
+    dead_time_s=st.floats(0, 0.5),
+    robots=st.integers(1, 4),
+    lags=st.sampled_from(["none", "known", "uncertain"]),
+)
+def test_robots_leave_their_courses_by_the_formula(seed, heard_s, dead_time_s, robots, lags):
+    rng = np.random.default_rng(seed)
+    a, speed, a_std, speed_std, lag, lag_std = rng.uniform(0.1, 3, (6, robots))
+    estimate = Estimate(
+        a=a, a_std=a_std, speed=speed, speed_std=speed_std, dead_time_std=0.07, lag=None
+    )
+    if lags != "none":
+        estimate = replace(estimate, lag=lag, lag_std=lag_std if lags == "uncertain" else None)
+    off = []
+    for i in range(robots):
+        lag_s = 0.0 if lags == "none" else lag[i]
+        lag_s += SIGMAS * lag_std[i] if lags == "uncertain" else 0.0
+        of_rates = speed[i] * a_std[i] / a[i] + speed_std[i]
+        off.append(
+            LOST_SHARE * speed[i] * heard_s
+            + min(a[i] * heard_s, 1) * speed[i] * lag_s
+            + SIGMAS * (speed[i] * 0.07 + of_rates * (heard_s + dead_time_s))
+        )
+    assert off_course(speed, heard_s, dead_time_s, estimate) == pytest.approx(max(off))
+    lost = LOST_SHARE * speed.max() * heard_s
+    assert off_course(speed, heard_s, dead_time_s, None) == pytest.approx(lost)
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32),
+    radius=st.sampled_from([0.0, 40.0]),
+    separation=st.sampled_from([0.0, 150.0]),
+    robots=st.integers(1, 3),
+)
+def test_margins_and_separation_are_those_of_the_formulas(seed, radius, separation, robots):
+    rng = np.random.default_rng(seed)
+    shapes = [BOX, ROUND]
+    walls = Bounds(700, 600, 3500, 3600)
+    near = [[950, 1050], [1050, 950], [2930, 3000], [740, 2000], [2000, 3570]]
+    starts = np.array(near)[rng.permutation(5)[:robots]] + rng.uniform(-30, 30, (robots, 2))
+    targets = np.array(near)[rng.permutation(5)[:robots]] + rng.uniform(-30, 30, (robots, 2))
+    collision = Collision(margin=25, radius=radius, separation=separation)
+    world = problems.problem(problems.world(seed, robots, 0))
+    problem = replace(world, poses=at(*starts))
+    applied = Margins(collision, shapes, walls, targets).applied(problem, 0.3, 0.1, None)
+
+    off = LOST_SHARE * problem.speed.max() * 0.3
+    full = 25 + radius + off
+    bare = Obstacles.from_shapes(shapes, 0.0, walls)
+
+    def fitting(margin, gap):
+        return margin if margin < gap else 0.98 * max(gap, 0.0)
+
+    to_targets = bare.distances(*targets.T).min(axis=1)
+    to_robots = bare.distances(*starts.T).min(axis=1)
+    expected = [
+        max(fitting(full, min(of_target, of_robot)), fitting(radius, of_target))
+        for of_target, of_robot in zip(to_targets, to_robots, strict=True)
+    ]
+    shown = [
+        *(applied.obstacles.radii - bare.radii),
+        *((applied.obstacles.walls - bare.walls) * [1, 1, -1, -1]),
+    ]
+    assert shown == pytest.approx(expected)
+    apart = np.inf
+    for places in (starts, targets):
+        for i in range(robots):
+            for k in range(i):
+                apart = min(apart, np.hypot(*(places[i] - places[k])))
+    wanted = separation + 2 * off if separation else 0.0
+    kept = min(wanted, max(0.98 * apart, min(2 * radius, apart)))
+    assert applied.separation == pytest.approx(kept if robots > 1 else 0.0)

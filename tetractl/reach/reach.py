@@ -100,7 +100,7 @@ class Reach:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """What one signal can reach, as the items of a JSON object."""
+        """The result as the items of a JSON object: what one common signal can reach."""
         return {
             "rank": self.rank,
             "of": len(self.spread),

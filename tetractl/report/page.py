@@ -156,7 +156,10 @@ class _Carried:
         self.unread: list[str] = []
 
     def add(self, group: BatchStatistics, groups: int) -> None:
-        """Read the logs of one batch, and add their data. The page has `groups` batches."""
+        """Read the logs of one batch, and add their data. The page has `groups` batches.
+
+        A log that cannot be read is left out, and its error is added to `unread`.
+        """
         logs: list[TrialLog] = []
         for path in group.batch.logs if self._complete else logs_to_carry(group, groups):
             try:

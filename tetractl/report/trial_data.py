@@ -111,7 +111,10 @@ def _robots(log: TrialLog) -> list[dict[str, Any]]:
 
 
 def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
-    """Return the measured poses that the player shows, with the times of their frames."""
+    """Return the measured poses that the player shows, with the times of their frames [s].
+
+    x, y and heading are None for a robot that a frame does not track.
+    """
     frames = _thinned(log, until_ns)
     valid = log.valid[frames]
     heading = np.where(valid, log.mocap[frames, :, 2], np.nan)

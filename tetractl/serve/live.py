@@ -99,7 +99,7 @@ class Viewers(RecordSink):
     def _obey(self, client: "_Client", request: str | bytes) -> None:
         """Carry out a viewer's request: to subscribe, or to end a subscription.
 
-        Others are ignored.
+        Other requests are ignored.
         """
         items: dict[str, Any] = json.loads(request)
         with self._lock:

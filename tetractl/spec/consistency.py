@@ -118,7 +118,10 @@ def _extent(arena: Arena) -> str:
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Check whether an obstacle meets the arena's edge or has a corner inside the arena."""
+    """Check whether an obstacle meets the arena's edge or has a corner inside the arena.
+
+    The points of its outline count as corners, also those of a circle.
+    """
     bounds = arena.bounds
     x = np.array([bounds.left, bounds.right, bounds.right, bounds.left])
     y = np.array([bounds.bottom, bounds.bottom, bounds.top, bounds.top])

@@ -127,7 +127,10 @@ def trial_notes(trial: ResultSummary) -> list[str]:
 
 
 def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
-    """Return the robots of a trial that did something unsafe, by the labels in SAFETY."""
+    """Return the robots of a trial that did something unsafe, by the labels in SAFETY.
+
+    Labels without such a robot are left out.
+    """
     names = [robot.name for robot in trial.experiment.robots]
     radius = trial.experiment.controller.body_radius
     robots_by_label: dict[str, list[str]] = {}
@@ -228,9 +231,10 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
 
 
 def turn_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the rate at which each robot turned off course, and its standard error.
+    """Return the rate at which each robot turned off course [rad/s], and its standard error.
 
-    None if they are unknown.
+    They are in two columns for each robot, with None if they are unknown. There is no column if
+    the trial was simulated or the robots have no wheels.
     """
     if trial.simulated or not trial.experiment.setup.on_wheels:
         return {}

@@ -126,6 +126,8 @@ class Source:
     def from_paths(cls, paths: Sequence[Path | str]) -> "Source":
         """Find the logs in files, folders and patterns, including earlier attempts.
 
+        The batch gets the name of the first path, with the number of further paths.
+
         Raises UsageError for a path without a trial.
         """
         places = [Path(path) for path in paths]

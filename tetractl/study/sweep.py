@@ -76,7 +76,10 @@ class Points(Sweep):
     """The points, each a mapping of paths, such as `plant.dead_time`, to values."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the combinations of values that the study lists, in their order."""
+        """Return the combinations of values that the study lists, in their order.
+
+        `rng` is unused.
+        """
         points: list[Mapping[str, Setting]] = []
         for i, point in enumerate(self.points):
             settings = {path: Setting(value, ("points", i, path)) for path, value in point.items()}

@@ -111,7 +111,10 @@ class Recording:
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
     def at(self, time_ns: int) -> Moment:
-        """Return the state of the trial at a time [ns]."""
+        """Return the state of the trial at a time on the log's clock [ns].
+
+        From the end of the trial on, it has the result, the final poses and all events.
+        """
         log = self.log
         frames = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         steps = int(np.searchsorted(self.step_ns, time_ns, side="right"))

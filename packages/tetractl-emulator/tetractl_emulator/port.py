@@ -323,7 +323,10 @@ class PseudoPort:
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:
-        """Return the bytes that the program has written to the port. b"" if there are none."""
+        """Return the bytes that the program has written to the port, at most 4096.
+
+        b"" if there are none, or if the port is closed.
+        """
         try:
             return os.read(self.fd, 4096) if self.fd >= 0 else b""
         except BlockingIOError:

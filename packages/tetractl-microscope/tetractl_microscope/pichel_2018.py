@@ -116,13 +116,13 @@ def tables(seed: int, number: int) -> dict[str, Any]:
 
 
 def interval_width(tables_of_set: Mapping[str, Any]) -> float:
-    """Return the width of the slope's interval [rad/(mT s)] of a set of tables."""
+    """Return the width of the 95 % interval of the slope from a set of tables [rad/(mT s)]."""
     _, low, high = _fitted_to(tables_of_set)
     return high - low
 
 
 def misses_slope(tables_of_set: Mapping[str, Any]) -> bool:
-    """Check whether the interval from a set of tables excludes the simulated slope."""
+    """Check whether the 95 % interval from a set of tables excludes the simulated slope."""
     _, low, high = _fitted_to(tables_of_set)
     return not low <= tables_of_set["put in"] <= high
 

@@ -188,7 +188,10 @@ def check_directions(
 
 
 def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
-    """Select the longest courses. Empty if robots were seen for less than ENOUGH_S in total."""
+    """Select the COURSES_MAX longest courses, each cut to its first COURSE_S.
+
+    Empty if robots were seen for less than ENOUGH_S in total.
+    """
     by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
     begin = slice(round(COURSE_S / GRID_S))
     longest = [course.at(begin) for course in by_length[:COURSES_MAX]]

@@ -197,7 +197,11 @@ def _alias_strings(message: Message, aliases: Aliases) -> None:
 
 
 def _environment(text: str, aliases: Aliases) -> str:
-    """Return the environment that a log contains, without the names of computer and files."""
+    """Return the environment that a log contains, without the names of computer and files.
+
+    Lists of changed files are replaced by their lengths. The result is empty if the text is not a
+    JSON object.
+    """
     try:
         facts: dict[str, Any] = dict(json.loads(text))
     except (ValueError, TypeError):

@@ -102,7 +102,13 @@ def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
 
 
 def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
-    """Return the key or index that one step of a path means in `holder`, the value at `loc`."""
+    """Return the key or index that one step of a path means in `holder`, the value at `loc`.
+
+    Raises:
+        InvalidSpecError: If the step is empty, if it is no index of a list, or if the value is no
+            list
+            and no mapping.
+    """
     if isinstance(holder, list):
         return _index(holder, loc, step, place)
     if not isinstance(holder, dict):

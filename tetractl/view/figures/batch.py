@@ -262,7 +262,11 @@ def band(n: int) -> float:
 
 
 def _distributions(axes: Axes, batches: Sequence[BatchErrors]) -> None:
-    """Draw the empirical distribution function of each batch, with its band."""
+    """Draw the empirical distribution function of each batch's total errors.
+
+    Its confidence band is left out if there are more than SHADED batches, or too few trials for
+    it.
+    """
     end = BEYOND * max(float(batch.totals.max()) for batch in batches)
     for number, batch in enumerate(batches):
         look = style.batch_look(number)

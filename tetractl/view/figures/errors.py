@@ -172,7 +172,10 @@ def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time
 
 
 def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:
-    """Draw the published mean if there is one, and return the entries of the legend."""
+    """Draw the published mean if there is one, and return the entries of the legend.
+
+    The legend also states how many of the trials did not run to their end, if any.
+    """
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
         *of_total.get_legend_handles_labels()[0],

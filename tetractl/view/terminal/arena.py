@@ -191,7 +191,10 @@ def draw(frame: Moment, colors: list[str], width: int, height: int) -> Canvas:
 
 
 def framed(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
-    """Add a thin border to a canvas, with a label in the lower edge if there is space."""
+    """Yield the rows of a canvas with a thin border.
+
+    The label is in the middle of the lower edge. It is left out if it is too long.
+    """
     words = f" {label} "
     if len(words) > canvas.width:
         words = ""
@@ -204,10 +207,10 @@ def framed(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return points (M, 2) whose dots fill a shape.
+    """Return points (M, 2) whose dots fill a shape [length unit].
 
-    There is one point for each dot inside the shape, and more along its outline. A shape smaller
-    than a dot has only outline points.
+    There is one point for each dot inside both the shape and the arena, and more along the whole
+    outline of the shape. A shape smaller than a dot has only outline points.
     """
     arena = view.arena
     outline = shape.outline()

@@ -55,7 +55,11 @@ class TrialSoFar:
         self._first_direction_ns: int | None = None
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Add the robots' positions in new camera frames to their trails."""
+        """Add the robots' positions in new camera frames to their trails.
+
+        The position of an untracked robot is NaN in its trail, and its shown pose stays the last
+        one.
+        """
         for sample in samples:
             observation = sample.observation
             poses = observation.poses.array()

@@ -142,10 +142,10 @@ class EmulatedRadio(RobotRadio):
                 self._timeline.at(ready, lambda answer=answer: self._reply(answer))
 
     def _take_air(self, size: int) -> int:
-        """Reserve the radio channel for `size` bytes.
+        """Reserve the radio channel for `size` bytes, once it is free, after a random wait.
 
         Returns:
-            The time at which the transmission ends [ns].
+            The time at which the transmission ends, on the timeline [ns].
         """
         start = max(self._timeline.now_ns, self._air_ns)
         wait = round(self._random.uniform(0, BACKOFF_NS))

@@ -96,7 +96,10 @@ class PoseCamera(ABC):
         self.timeline.at(due_ns, self._take)
 
     def _take(self) -> None:
-        """Expose one frame, and schedule its sending after the latency."""
+        """Expose one frame, schedule its sending after the latency, and plan the next exposure.
+
+        Faults may change the frame's number and time of exposure, and send it twice.
+        """
         now = self.timeline.now_ns
         exposed = now
         exposure_number = self._planned

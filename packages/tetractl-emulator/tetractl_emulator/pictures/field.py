@@ -100,7 +100,11 @@ class CurrentDriver(SerialDevice):
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
-        """Process bytes from the line, and reply to polls, as a real driver does."""
+        """Process bytes from the line, and reply to polls, as a real driver does.
+
+        During the fault `late_driver`, the bytes are processed late. Later bytes wait for earlier
+        ones.
+        """
         late_ns = round(self.acting.total_by("late_driver") * SECOND)
         if not late_ns and self._due_ns <= self._timeline.now_ns:
             self._receive(data)

@@ -187,7 +187,10 @@ class Census:
         return [name for name in sys.modules if name not in self._modules]
 
     def left_behind(self) -> list[str]:
-        """Describe the threads, open files and memory that were added since the snapshot."""
+        """Describe the threads, open files and memory that were added since the snapshot.
+
+        Up to KEPT blocks of memory do not count, nor does any memory if new modules were imported.
+        """
         gc.collect()
         threads = [thread.name for thread in threading.enumerate() if thread not in self._threads]
         files = sorted(_open_files() - self._files)

@@ -213,7 +213,11 @@ def faults_of_day(
 def _fault(
     row: FaultRow, random: Random, names: Sequence[str], span_s: float, scale: float
 ) -> dict[str, Any]:
-    """Sample one fault of a variant: its fields, when it begins, and how long it lasts."""
+    """Sample one fault of a variant: its fields, when it begins, and how long it lasts.
+
+    It begins in the first second after the start, at a time up to `span_s` [s], or within 0.5 s
+    after the stop. Without the field `for`, it has no end.
+    """
     draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
     fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
     for key, value in row.fields.items():

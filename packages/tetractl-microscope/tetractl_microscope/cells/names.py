@@ -223,7 +223,10 @@ class Names:
                 self._end(question)
 
     def probabilities(self, tracks: Sequence[CellTrack]) -> list[float]:
-        """Compute for each track the probability that its identity is right."""
+        """Compute for each track the probability that its identity is right.
+
+        A track that is in no question and no meeting keeps its certainty.
+        """
         by_number: dict[int, float] = {}
         for question in self._questions:
             order, shares = question.best()

@@ -69,7 +69,12 @@ class Multipart:
         return True
 
     def _unmeasured(self, start: int, end: int) -> bool:
-        """Try to complete a part without a Content-Length. Returns whether to continue."""
+        """Complete a part without a Content-Length if its end has arrived.
+
+        Returns whether to continue.
+
+        `end` is negative if it has not arrived. A part that is longer than BODY_MAX is dropped.
+        """
         if end < 0:
             return self._drop() if len(self._held) - start > BODY_MAX else False
         self._bodies.append(bytes(self._held[start:end]).removesuffix(b"\r\n"))

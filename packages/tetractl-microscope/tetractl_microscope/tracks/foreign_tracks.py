@@ -349,10 +349,10 @@ def _note_other_times(
 
 
 def _require_one_place(path: Path, number: float, times: Floats) -> None:
-    """Check that a track has only one position at each time, shape (K,) [s].
+    """Check that a track has only one position at each time. `times` (K,) rises or repeats [s].
 
     Raises:
-        UsageError: If it has two.
+        UsageError: If it has two at one time.
     """
     is_twice = np.diff(times) == 0
     if is_twice.any():
@@ -474,7 +474,10 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
-    """Return the length of one unit along an axis of a graph."""
+    """Return the length of one unit along an axis of a graph, as its units state it.
+
+    The length is None if no unit is known.
+    """
     scaled = factor(axis.scaled_unit or "", units)
     if scaled is not None and axis.scale:
         return AxisStep(axis.scale * scaled)

@@ -79,7 +79,10 @@ class TopicPlug(PseudoPort):
                 self._end.publish(data)
 
     def _receive(self) -> None:
-        """Receive messages until the plug is pulled."""
+        """Receive messages until the plug is pulled.
+
+        Messages that arrive while it is stalled are lost.
+        """
         while not self._closing.is_set():
             for message in self._end.wait():
                 if not self._stalled:

@@ -57,7 +57,10 @@ class CubeProgram:
                 self._configure(payload)
 
     def _configure(self, payload: bytes) -> None:
-        """Process a setting of the notifications of readings. Other settings are ignored."""
+        """Process a setting that switches notifications of readings on, and acknowledge it.
+
+        All other settings are ignored.
+        """
         if payload[:1] not in READING_SETTINGS:
             return
         self.notifies = True

@@ -96,7 +96,7 @@ class Optics:
         raise ValueError("the camera cannot see all floor tags in one image")
 
     def centred(self, corners: Floats) -> Self:
-        """Turn the camera so that points (M, 3) [m] are centred in its image."""
+        """Return this camera, turned so that points (M, 3) [m] are centred in its image."""
         camera = self
         position = np.array(self.position)
         for _ in range(8):

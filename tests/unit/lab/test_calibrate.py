@@ -12,9 +12,18 @@ from testkit.labs import FakeActuator, FakeCamera, SteppedClock, World
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
 from tetractl.core.errors import AbortError
+from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
-from tetractl.lab.calibrate import calibrate_robots
+from tetractl.lab.calibrate import (
+    Channel,
+    DrivenPath,
+    _Bench,
+    _excess_delay_s,
+    _steady,
+    calibrate_robots,
+)
+from tetractl.lab.frames import AcceptedFrame, TimedPose
 from tetractl.lab.rig import Rig
 from tetractl.spec.load import parse_spec
 from tetractl.spec.plants import on_plant
@@ -161,3 +170,140 @@ def test_a_calibration_finds_the_wheels_that_the_robot_has(
     sent = np.abs(rig.actuator.sent_outputs)
     assert sent.max() <= LIMIT
     assert not rig.actuator.sent_outputs[-1].any()  # the robot stands at the end
+
+
+def bench(rates=(), limit=127, scale=1.0, dead_zone_max=60):
+    """A bench whose motor channel turns its robot at the rate of a function of the output."""
+    made = object.__new__(_Bench)
+    made.name = "green"
+    made.limit = limit
+    made._scale = scale
+    made._dead_zone_max = dead_zone_max
+    made.driven = []
+    made._stand = lambda: made.driven.append("stand")
+
+    def rate(number, output):
+        made.driven.append(output)
+        return rates(output)
+
+    made._rate = rate
+    return made
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("dead_zone", [0, 7, 30])
+@pytest.mark.parametrize(("scale", "limit"), [(1.0, 45), (3.0, 135), (1.0, 127)])
+def test_a_channel_is_a_line_beyond_its_dead_zone(sign, dead_zone, scale, limit):
+    def rates(output):
+        return sign * 0.19 / scale * max(0, output - dead_zone * scale)
+
+    made = bench(rates, limit, scale, dead_zone_max=200)
+    channel = made._channel(0)
+    assert (channel.sign, channel.dead_zone) == (sign, round(dead_zone * scale))
+    assert channel.k == pytest.approx(0.19 / scale)
+    assert made.driven.pop() == "stand"
+    assert made.driven[0] == round(6 * scale)
+    assert max(made.driven) <= limit < max(made.driven) + 4 * scale
+    assert channel.output(1.9) == round(10 * scale) + channel.dead_zone
+
+
+def test_a_dead_zone_is_at_most_what_the_section_can_state():
+    channel = bench(lambda output: 0.2 * max(0, output - 20), dead_zone_max=5)._channel(0)
+    assert channel.dead_zone == 5
+
+
+def test_slow_turns_do_not_count_as_they_may_be_a_wheel_that_sticks():
+    """Below 0.25 rad/s the rate is wrong here, but the line through the others is right."""
+    channel = bench(lambda output: 0.05 * output if output > 5 else 9.0)._channel(0)
+    assert channel.k == pytest.approx(0.05)
+    wrong_when_slow = bench(lambda o: 0.02 * o if 0.02 * o > 0.25 else 0.24)._channel(0)
+    assert wrong_when_slow.k == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("rates", "says"),
+    [
+        (lambda output: 0.0, "motor channel 2 hardly turns the robot"),
+        (lambda output: 0.2 * (output > 100) * output, None),
+        (lambda output: 0.2 * (output > 118) * output, "hardly turns"),
+        (lambda output: 20.0 - 0.1 * output, "does not turn the robot steadily"),
+        (lambda output: 0.1 * output * (-1) ** (output > 50), "does not turn the robot steadily"),
+    ],
+)
+def test_a_channel_that_does_not_turn_the_robot_is_refused(rates, says):
+    if says is None:
+        bench(rates)._channel(1)
+        return
+    with pytest.raises(AbortError, match=says):
+        bench(rates)._channel(1)
+
+
+@pytest.mark.parametrize(
+    ("radius_mm", "refused"), [(4.9, True), (5.1, False), (499.0, False), (501.0, True)]
+)
+def test_a_radius_is_the_speed_over_the_turning_rates_of_both_wheels(radius_mm, refused):
+    channels = [Channel(1, 0.1, 3), Channel(-1, 0.2, 5)]
+    turning = 0.1 * (13 - 3) + 0.2 * (15 - 5)
+    straight = DrivenPath(0.0, -0.6 * radius_mm * turning, 0.8 * radius_mm * turning)
+    if refused:
+        with pytest.raises(AbortError, match="is impossible"):
+            bench()._radius(straight, channels, [13, 15])
+    else:
+        assert bench()._radius(straight, channels, [13, 15]) == pytest.approx(radius_mm)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "refused"), [(0, False), (59, False), (-59, False), (61, True), (-61, True)]
+)
+def test_an_offset_is_the_direction_of_travel_without_a_drift(degrees, refused):
+    angle = math.radians(degrees)
+    along, across = 50 * math.cos(angle), 50 * math.sin(angle)
+    forwards = DrivenPath(0.0, along + 7, across - 9)
+    backwards = DrivenPath(0.0, -along + 7, -across - 9)
+    if refused:
+        with pytest.raises(AbortError, match=f"{degrees} degrees off"):
+            bench()._offset(forwards, backwards)
+    else:
+        assert bench()._offset(forwards, backwards) == pytest.approx(angle)
+
+
+@pytest.mark.parametrize("mm", [1.0, 1000.0])
+@pytest.mark.parametrize(
+    ("turning", "speed", "course"), [(1.5, 80, 0.0), (-4.0, 60, 0.5), (0.0, 9, -1.0)]
+)
+def test_a_steady_motion_has_its_turning_rate_and_its_speeds_in_mm(mm, turning, speed, course):
+    poses, x, y = [], 0.3, -0.2
+    for k in range(121):
+        heading = 3.0 + turning * k / 120
+        wrapped = math.remainder(heading, math.tau)
+        poses.append(TimedPose(k * SECOND // 120, Pose(x / mm, y / mm, wrapped)))
+        middle = heading + turning / 240 + course
+        x += speed / 120 * math.cos(middle)
+        y += speed / 120 * math.sin(middle)
+    before = [TimedPose(0, Pose(99.0, 99.0, 1.0))]  # the wheels have not settled yet
+    shifted = [TimedPose(timed.exposed_ns + SECOND, timed.pose) for timed in poses]
+    path = _steady(before + shifted, SECOND, mm)
+    assert path.turning == pytest.approx(turning, abs=1e-6)
+    expected = (speed * math.cos(course), speed * math.sin(course))
+    assert (path.along, path.across) == pytest.approx(expected, abs=1e-6)
+
+
+def frames_of(period_ms, way_ms, count=9):
+    made = []
+    for k in range(count):
+        at_ns = k * period_ms * SECOND // 1000
+        frame = CameraFrame(k, at_ns, at_ns + way_ms * SECOND // 1000, (None,))
+        made.append(AcceptedFrame(frame, (None,), (False,)))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "way_ms", "excess_s"),
+    [(8, 5, 0.0), (20, 10, 0.0), (20, 20, 0.01), (50, 10, 0.075), (100, 30, 0.22)],
+)
+def test_a_slow_camera_may_be_later_by_two_and_a_half_periods_and_its_latency(
+    period_ms, way_ms, excess_s
+):
+    assert _excess_delay_s(frames_of(period_ms, way_ms)) == pytest.approx(excess_s)
+    assert _excess_delay_s(frames_of(period_ms, way_ms, 3)) == pytest.approx(excess_s)
+    assert _excess_delay_s(frames_of(period_ms, way_ms, 2)) == 0

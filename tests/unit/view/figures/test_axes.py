@@ -1,14 +1,21 @@
 """Tests of the limits of logarithmic axes, and of space for the names of categories."""
 
+import math
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from tetractl.view.figures.axes import (
     CHARACTER_IN,
     LINE_IN,
     LOG_FROM,
+    log_axis,
     name_categories,
+    positive,
     spans_orders,
 )
 
@@ -53,3 +60,69 @@ def test_names_that_are_too_long_are_upright_and_take_their_length(axes):
 )
 def test_errors_that_span_orders_need_a_logarithmic_axis(errors, spans):
     assert spans_orders(np.array(errors)) == spans
+
+
+POSITIVE = st.lists(st.floats(1e-9, 1e9), min_size=1, max_size=6)
+
+
+@settings(max_examples=20)
+@given(POSITIVE, st.floats(0, 0.5), st.floats(0, 0.5))
+def test_a_logarithmic_axis_extends_beyond_its_values_by_fractions_of_their_range(
+    values, below, above
+):
+    drawn = Figure().add_subplot()
+    log_axis(drawn, np.array([np.nan, *values]), below, above)
+    low, high = drawn.get_ylim()
+    least, greatest = min(values), max(values)
+    assert low <= least and greatest <= high
+    if greatest > 1.11 * least:
+        span = math.log(greatest / least)
+        assert math.log(least / low) == pytest.approx(below * span, abs=1e-6)
+        assert math.log(high / greatest) == pytest.approx(above * span, abs=1e-6)
+    if greatest <= 1.1 * least:
+        assert low < least / 1.049 and high > greatest * 1.049
+
+
+def test_a_logarithmic_axis_without_values_has_limits():
+    drawn = Figure().add_subplot()
+    log_axis(drawn, np.full(3, np.nan), 0.1, 0.1)
+    low, high = drawn.get_ylim()
+    assert 0 < low < 0.1 and high > 10
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shows"),
+    [
+        (10.0, 49.0, {10, 20, 30, 40}),  # even ticks
+        (10.0, 60.0, {10, 20, 50}),
+        (10.0, 9000.0, {10, 20, 50, 100, 200, 500, 1000, 2000, 5000}),
+        (10.0, 11000.0, {10, 100, 1000, 10000}),
+    ],
+)
+def test_the_ticks_of_a_logarithmic_axis_fit_the_ratio_of_its_limits(low, high, shows):
+    drawn = Figure().add_subplot()
+    log_axis(drawn, np.array([low, high]), 0.0, 0.0)
+    ticks = {float(f"{tick:.6g}") for tick in drawn.get_yticks() if low <= tick <= high}
+    assert ticks == shows
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (1e-3, 10.0, "0.01"),
+        (0.9e-3, 10.0, "10^{-2}"),
+        (1e-2, 1e5, "0.01"),
+        (1e-2, 1.1e5, "10^{-2}"),
+        (1e-5, 4e-5, "0.01"),  # a small ratio is always decimal
+    ],
+)
+def test_numbers_are_decimal_in_the_usual_range_and_powers_of_ten_beyond(low, high, text):
+    drawn = Figure().add_subplot()
+    log_axis(drawn, np.array([low, high]), 0.0, 0.0)
+    assert text in drawn.yaxis.get_major_formatter()(0.01, 0)
+
+
+def test_only_positive_finite_values_can_be_shown():
+    shown = positive(np.array([-1.0, 0.0, 2.0, np.inf, np.nan]))
+    assert np.isnan(shown).tolist() == [True, True, False, True, True]
+    assert shown[2] == 2.0

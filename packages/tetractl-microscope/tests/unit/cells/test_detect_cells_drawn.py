@@ -16,8 +16,10 @@ from tetractl_microscope.cells.detect_cells import (
     STRIPES,
     Background,
     BlobFinder,
+    Box,
     SearchArrays,
     SearchLimits,
+    _blob,
     _median,
     _sparse,
     _square,
@@ -431,3 +433,24 @@ def test_statistics_are_of_about_64_rows_and_every_eighth_at_most(height, step):
     picture = np.arange(height)[:, None] * np.ones((1, 100))
     assert _sparse(picture)[:, 0].tolist() == list(range(0, height, step))
     assert _sparse(picture).shape[1] == math.ceil(100 / step)
+
+
+@pytest.mark.parametrize("weighed", [True, False])
+@pytest.mark.parametrize(("wide", "tall"), [(10, 4), (4, 10), (7, 7), (1, 9)])
+def test_the_moments_of_a_rectangle_are_those_of_its_area(wide, tall, weighed):
+    """Of a side a they are a^2 / 12, and of an ellipse's axis b they are b^2 / 16."""
+    body = np.zeros((20, 30), np.uint8)
+    body[3 : 3 + tall, 5 : 5 + wide] = 1
+    difference = 40 * body
+    box = Box(left=100, top=50, wide=30, tall=20)
+    blob = _blob(body, body * (1.0 if weighed else 0.0), difference, box, True)
+    assert (blob.x, blob.y) == pytest.approx((105 + (wide - 1) / 2, 53 + (tall - 1) / 2))
+    longer, shorter = max(wide, tall), min(wide, tall)
+    assert blob.long == pytest.approx(4 * longer / math.sqrt(12))
+    assert blob.wide == pytest.approx(4 * shorter / math.sqrt(12))
+    if wide != tall:
+        assert off_axis(blob.axis, 0.0 if wide > tall else math.pi / 2) < 1e-6
+    assert blob.strength == pytest.approx(40.0)
+    assert blob.at_edge and blob.corner == (100, 50)
+    assert len(blob.pixels) == wide * tall
+    assert blob.pixels.min(axis=0).tolist() == [105.0, 53.0]

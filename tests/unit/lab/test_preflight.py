@@ -2,15 +2,26 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from testkit.labs import fake_lab
 from testkit.trials import experiment
 
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Pose
+from tetractl.core.poses import CameraFrame, Pose, Poses
 from tetractl.core.protocols import RobotStatus
-from tetractl.lab.preflight import inspect, look_over
+from tetractl.lab.frames import AcceptedFrame
+from tetractl.lab.preflight import (
+    Preflight,
+    RobotFinding,
+    _latency_ms,
+    inspect,
+    look_over,
+    unplaced,
+)
+from tetractl.spec.lab_section import LabLimits
 
 
 def looked_over(change=lambda camera: None):
@@ -203,3 +214,103 @@ def test_a_camera_whose_program_ends_meanwhile_is_the_problem():
         raise AbortError("the program of the camera has ended")
 
     assert looked_over(end).problems == ("the program of the camera has ended",)
+
+
+def placed_rig(poses, mm=1.0, **limits):
+    """A lab of robots that start at (10, 20) mm with heading 3 rad, and are seen at these poses."""
+    count = len(poses)
+    starts = Poses(np.full(count, 10.0 / mm), np.full(count, 20.0 / mm), np.full(count, 3.0))
+    frame = CameraFrame(1, 0, 0, tuple(poses))
+    seen = AcceptedFrame(frame, frame.poses, tuple(pose is not None for pose in poses))
+    return SimpleNamespace(
+        mm=mm,
+        limits=LabLimits(**limits),
+        setup=SimpleNamespace(names=("green", "blue")[:count], starts=starts),
+        loop=SimpleNamespace(frames=SimpleNamespace(newest=seen)),
+        not_tracked=lambda i: f"robot {i} is not tracked",
+    )
+
+
+LIMITS = {"start_mm": 30.0, "start_heading": 0.3}
+
+
+@pytest.mark.parametrize("mm", [1.0, 1000.0, 0.001])
+@pytest.mark.parametrize(
+    ("dx", "dy", "turned", "says"),
+    [
+        (0, 0, 0.0, None),
+        (29.9, 0, 0.29, None),
+        (0, -29.9, -0.29, None),
+        (18, 24.1, 0.0, "green is 30 mm from its start"),
+        (-40, 0, 1.0, "green is 40 mm from its start"),
+        (0, 0, 0.31, "green is turned by +0.31 rad from its start heading"),
+        (0, 0, -0.31, "green is turned by -0.31 rad from its start heading"),
+        (0, 0, 0.29 + math.tau, None),
+    ],
+)
+def test_a_robot_is_on_its_start_within_the_limits_in_any_unit(mm, dx, dy, turned, says):
+    pose = Pose((10 + dx) / mm, (20 + dy) / mm, 3.0 + turned)
+    assert unplaced(placed_rig([pose], mm, **LIMITS)) == ([says] if says else [])
+
+
+def test_a_robot_that_is_not_seen_is_named_as_that_and_not_as_misplaced():
+    lines = unplaced(placed_rig([Pose(10.0, 20.0, 3.0), None], **LIMITS))
+    assert lines == ["robot 1 is not tracked"]
+
+
+@pytest.mark.parametrize(
+    ("turned", "says"),
+    [
+        ((math.pi / 2, math.pi / 2 + 0.29), True),
+        ((math.pi / 2, math.pi / 2 + 0.31), False),
+        ((math.pi / 2 - 0.29, math.pi / 2), True),
+        ((math.pi / 2, -math.pi / 2), False),
+        ((0.0, 0.0), False),
+        ((math.pi, -math.pi), True),
+    ],
+)
+def test_quarter_turns_are_told_within_the_limit_of_headings(turned, says):
+    poses = [Pose(10.0, 20.0, 3.0 + angle) for angle in turned]
+    lines = [line for line in unplaced(placed_rig(poses, **LIMITS)) if "does each tag" in line]
+    assert len(lines) == says
+    elsewhere = [poses[0], Pose(99.0, 20.0, poses[1].heading)]
+    lines = unplaced(placed_rig(elsewhere, **LIMITS))
+    assert not any("does each tag" in line for line in lines), "it may be another robot's place"
+
+
+def test_one_robot_that_is_turned_is_named():
+    lines = unplaced(placed_rig([Pose(10.0, 20.0, 3.0 + math.pi / 2)], **LIMITS))
+    assert lines[-1].startswith("green is turned by +90 degrees")
+    anywhere = placed_rig([Pose(10.0, 20.0, 3.0 + math.pi / 2)], start_heading=math.pi / 2)
+    assert unplaced(anywhere) == []
+
+
+@pytest.mark.parametrize(
+    ("ages_ms", "latency_ms"),
+    [([], None), ([0, 0, 0], None), ([0, 4, 0], (0, 4)), ([9, 1, 5], (5, 9)), ([2, 4], (4, 4))],
+)
+def test_the_age_of_frames_on_arrival_is_their_median_and_maximum(ages_ms, latency_ms):
+    frames = [CameraFrame(k, 100, 100 + age * 10**6, ()) for k, age in enumerate(ages_ms)]
+    assert _latency_ms(frames) == latency_ms
+
+
+def finding(*, misplaced="", untracked="", **status):
+    return RobotFinding("green", 1.0, 0.0, misplaced, untracked, RobotStatus(None, **status))
+
+
+def test_a_run_can_start_unless_anything_is_wrong():
+    good = Preflight((finding(),), None, None, (), (), {}, ())
+    assert good.can_start
+    assert replace(good, warnings=("w",), questions=("q",)).can_start
+    assert not replace(good, problems=("p",)).can_start
+    assert not replace(good, robots=(finding(), finding(misplaced="m"))).can_start
+    assert not replace(good, robots=(finding(untracked="u"), finding())).can_start
+    bad = replace(
+        good,
+        robots=(finding(misplaced="m", untracked="u", problems=("s",), warnings=("w2",)),),
+        problems=("p",),
+        warnings=("w",),
+        questions=("q",),
+    )
+    assert (bad.all_problems, bad.misplaced) == (("p", "u", "s"), ("m",))
+    assert bad.all_warnings == ("w", "q", "w2")

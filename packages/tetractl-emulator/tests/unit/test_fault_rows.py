@@ -6,8 +6,13 @@ from random import Random
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from testkit.emulator.device_specs import FIELD_SPEC
+from testkit.lab_specs import SPEC
 from tetractl_emulator import fault_rows
 from tetractl_emulator.fault_rows import FRAME_S, STRONG, Draw
+from tetractl_emulator.optitrack.scripted import FAULTS
+
+from tetractl.spec.load import parse_spec
 
 strengths = st.floats(0, 1, exclude_max=True)
 seeds = st.integers(0, 10**6)
@@ -89,3 +94,25 @@ def test_lost_messages_are_few_many_or_all():
 def test_the_fault_is_of_the_first_robot_and_the_other_is_another():
     assert fault_rows.NAMES["robot"](draw()) == "green"
     assert fault_rows.NAMES["other"](draw()) == "blue"
+
+
+def test_lengths_are_scaled_by_the_fastest_cell_and_not_for_robots_on_wheels():
+    cells = parse_spec(FIELD_SPEC, "lab.yaml").experiment
+    assert fault_rows.scale_of(cells.lab, cells.setup) == pytest.approx(200 / 200)  # mm/s, blue
+    text = FIELD_SPEC.replace("speed: 180", "speed: 0.5").replace("speed: 200", "speed: 0.4")
+    slow = parse_spec(text, "lab.yaml").experiment
+    assert fault_rows.scale_of(slow.lab, slow.setup) == pytest.approx(0.5 / 200)
+    in_um = parse_spec(text.replace("length: mm", "length: um"), "lab.yaml").experiment
+    assert fault_rows.scale_of(in_um.lab, in_um.setup) == pytest.approx(0.0005 / 200)
+    wheels = parse_spec(SPEC.replace("speed: 200", "speed: 90"), "lab.yaml").experiment
+    assert fault_rows.scale_of(wheels.lab, wheels.setup) == 1.0
+
+
+@pytest.mark.parametrize(("name", "sideways"), [("ghost drives", False), ("ghost slides", True)])
+def test_a_ghost_drives_along_its_heading_or_slides_across_it(name, sideways):
+    rows = {row.name: row for kind in FAULTS for row in kind.rows}
+    for seed in range(20):
+        ahead, aside = rows[name].fields["by"](draw(0.8, seed))
+        assert rows[name].fields["axes"] == "robot"
+        assert abs(ahead if sideways else aside) < 1e-6
+        assert abs(aside if sideways else ahead) > 0.1

@@ -68,6 +68,9 @@ def test_a_camera_that_faces_the_floor_sees_all_tags_and_hardly_more(tilt):
     seen = optics.project(outer)
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     assert middle == pytest.approx((319.5, 239.5), abs=0.5)
+    x, y, height = optics.position  # over the middle of the tags, which it sees at the tilt
+    assert x == pytest.approx(0.5)
+    assert math.atan2(0.4 - y, height) == pytest.approx(tilt)
     forward = np.subtract(optics.target, optics.position)
     assert math.acos(-forward[2] / np.linalg.norm(forward)) == pytest.approx(tilt, abs=0.12)
 

@@ -621,3 +621,20 @@ def test_a_robot_may_be_unseen_for_long_while_nothing_may_be_driven():
     rows = [truth_at(1.5 + k / 120, unseen=(150.0, 10.0, 10.0)) for k in range(600)]
     pause = at(1.4, "guard", state="ready", reason="")
     assert "driven blind" not in broken([*RUN, pause, *rows, truth_at(8.0)])
+
+
+@pytest.mark.parametrize(("beyond_mm", "wrong"), [(-0.1, False), (0.1, True)])
+def test_two_robots_may_be_nearer_by_what_each_of_them_may_be_off(beyond_mm, wrong):
+    """Two robots that stand may each be off by half the noise, 2 mm."""
+    apart_mm = LabLimits().separation_mm - 4.0 - beyond_mm
+    poses = [[900.0, 800.0, 0.0], [900.0, 800.0 + apart_mm, 0.0], STARTS[2]]
+    assert ("outside" in broken([*GOOD, truth_at(2.25, 0.0, poses)])) == wrong
+
+
+@pytest.mark.parametrize(("again_s", "wrong"), [(0.03, False), (0.09, True)])
+def test_a_command_that_was_on_its_way_may_drive_a_robot_just_after_the_end(again_s, wrong):
+    runs = (1, 0, 0)
+    events = [*GOOD, truth_at(2.32), truth_at(2.31 + again_s, 180.0, status=runs)]
+    if wrong:
+        events.append(truth_at(2.37))
+    assert ("not at rest" in broken(events)) == wrong

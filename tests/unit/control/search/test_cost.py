@@ -9,7 +9,7 @@ from testkit import problems
 from testkit.references import paper as oracle
 from testkit.trials import experiment
 
-from tetractl.control.search.cost import evaluate
+from tetractl.control.search.cost import STRAY, evaluate, predict
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
 from tetractl.model.shapes import Rectangle
@@ -80,3 +80,59 @@ def test_each_pair_counts_at_each_position_where_it_is_nearer_than_its_separatio
     assert costs(60.0).obstacle.tolist() == [1 * 4]  # one pair
     assert costs(501.0).obstacle.tolist() == [3 * 4]  # all pairs
     assert costs(60.0).total - costs(59.0).total == pytest.approx(10.0 * 4)
+
+
+def slow_path(problem, signals):
+    """Places (L, N, 2) after each signal, robot by robot: with biases, flow and a first period."""
+    robots = []
+    for i, (x, y, heading) in enumerate(problem.poses.array()):
+        places = []
+        for j, u in enumerate(signals):
+            t = problem.first_period if j == 0 else problem.period
+            bias = 0.0 if problem.bias is None else problem.bias[i]
+            flow = (0.0, 0.0) if problem.flow is None else problem.flow[i]
+            speed = problem.a[i], problem.speed[i]
+            x, y, heading = oracle.step(problem.motion, x, y, heading, u + bias, *speed, t)
+            x, y = x + t * flow[0], y + t * flow[1]
+            places.append((x, y))
+        robots.append(places)
+    return np.array(robots).transpose(1, 0, 2)
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    length=st.integers(1, 8),
+    model=st.sampled_from(["euler", "exact"]),
+    drifts=st.booleans(),
+    first=st.floats(0.01, 0.4),
+)
+def test_robots_are_predicted_with_their_biases_flows_and_periods(
+    seed, length, model, drifts, first
+):
+    problem = problems.problem(problems.world(seed, 3, 0, model), drifts=drifts)
+    problem = replace(problem, first_period=first)
+    signals = np.random.default_rng(seed).uniform(-3, 3, length)
+    path = predict(problem, signals)
+    assert path[0] == pytest.approx(problem.poses.array())
+    assert path[1:, :, :2] == pytest.approx(slow_path(problem, signals), rel=1e-9, abs=1e-6)
+
+
+@given(seed=st.integers(0, 2**32), length=st.integers(1, 8), within=st.sampled_from([30.0, 300.0]))
+def test_robots_that_hold_cost_their_time_outside_and_a_little_by_how_far(seed, length, within):
+    problem = replace(problems.problem(problems.world(seed, 2, 0, "exact")), within=within)
+    signals = np.random.default_rng(seed).uniform(-3, 3, length)
+    expected = 0.0
+    for place in slow_path(problem, signals):
+        for (x, y), (target_x, target_y) in zip(place, problem.targets, strict=True):
+            d = math.hypot(x - target_x, y - target_y) / within
+            if d > 1:
+                expected += within * (1 + STRAY * (d - 1)) / length
+    costs = evaluate(problem, signals[None])
+    assert costs.target[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_robot_at_the_edge_of_its_disc_costs_nothing_yet():
+    world = oracle.World([robot_at(0, 0, target=(50.0, 0.0))], [], "exact", 0.2)
+    problem = replace(problems.problem(world), speed=np.zeros(1))
+    assert evaluate(replace(problem, within=50.0), np.zeros((1, 3))).target.tolist() == [0]
+    assert evaluate(replace(problem, within=49.9), np.zeros((1, 3))).target[0] > 49.9

@@ -1,6 +1,8 @@
 """Tests of the value by which the candidates of a control step are compared."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tetractl.control.methods.value import PATIENCE_S, CandidateValues
 
@@ -26,3 +28,20 @@ def test_caution_costs_as_much_as_errors_in_units_of_the_accepted_one():
     assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(
         plain + 10 * CandidateValues.touch
     )
+
+
+POSITIVE = st.floats(0.01, 100)
+
+
+@given(POSITIVE, POSITIVE, POSITIVE, POSITIVE, POSITIVE, st.integers(1, 90), st.booleans())
+def test_the_value_is_that_of_the_formula(
+    accept, spent_s, period_s, patience_s, error, length, new
+):
+    values = CandidateValues(accept, spent_s, period_s, patience_s + 5)
+    attempt = accept * 2 ** (spent_s / (patience_s + 5)) if new else 0.0
+    price = accept * CandidateValues.price * length * period_s
+    plain = values.plan(error, length, new)
+    assert plain == pytest.approx(error + attempt + price)
+    touching = values.plan(error, length, new, touches=True)
+    assert touching - plain == pytest.approx(accept * CandidateValues.touch, rel=1e-6)
+    assert values.plan(error, length + 1, new) > plain

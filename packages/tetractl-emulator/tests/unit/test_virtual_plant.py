@@ -140,6 +140,18 @@ def test_nothing_is_recorded_without_a_folder_or_before_the_first_trial(tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_signal_and_an_emergency_stop_reach_the_supervision_of_the_trial():
+    signals = []
+    supervision = LabSupervision(signalled=lambda: signals.append(1))
+    faults = {"about": "x", "faults": [{"fault": "signal", "signal": "INT", "since": "start"}]}
+    made = section(faults=faults)
+    clock = made.clock()
+    rig = made.rig(EXPERIMENT.setup, clock, np.random.SeedSequence(1), supervision)
+    clock.sleep_until(SECOND // 10)
+    assert signals == [1]
+    assert made.rig(EXPERIMENT.setup, made.clock(), np.random.SeedSequence(1)) is not rig
+
+
 @pytest.mark.parametrize("real", ["camera", "actuator"])
 def test_devices_that_are_one_cannot_be_real_and_emulated_one_by_one(real):
     pytest.importorskip("cv2")

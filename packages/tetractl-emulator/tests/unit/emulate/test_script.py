@@ -7,7 +7,7 @@ from testkit.paths import SCRIPTS
 from testkit.schema_errors import without_words
 from tetractl_emulator.script import Script, Sides, parse_script
 
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import AbortError, SpecError
 
 FOLDER = SCRIPTS
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
@@ -66,3 +66,30 @@ def test_a_script_for_another_spec_is_refused(tmp_path):
 
 def test_every_error_that_a_script_can_cause_has_words():
     assert without_words(Script) == set()
+
+
+@pytest.mark.parametrize(
+    ("missing", "expected"),
+    [
+        ("cv2", AbortError),
+        ("tetractl_microscope", AbortError),
+        ("tetractl_microscope.coils.driver", AbortError),
+        ("tetractl_of_somebody_else", ModuleNotFoundError),
+    ],
+)
+def test_only_the_microscopes_software_is_named_as_missing(monkeypatch, missing, expected):
+    def load(name):
+        raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+
+    monkeypatch.setattr("tetractl_emulator.script.EMULATED_CAMERAS.load", load)
+    with pytest.raises(expected) as error:
+        Sides.of_types("apriltag", "m3pi-xbee")
+    if expected is AbortError:
+        assert "emulating apriltag needs tetractl-microscope" in str(error.value)
+
+
+@pytest.mark.parametrize("types", [("camera", "m3pi-xbee"), ("optitrack", "wings")])
+def test_a_type_that_cannot_be_emulated_comes_with_those_that_can(types):
+    with pytest.raises(SpecError, match="cannot be emulated") as error:
+        Sides.of_types(*types)
+    assert ("optitrack" if types[0] == "camera" else "m3pi-xbee") in error.value.hint

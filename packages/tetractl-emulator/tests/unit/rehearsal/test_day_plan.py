@@ -7,7 +7,7 @@ from random import Random
 import numpy as np
 import pytest
 from testkit.paths import ROOT
-from tetractl_emulator.fault_rows import FaultRow, between
+from tetractl_emulator.fault_rows import STRONG, FaultRow, between
 from tetractl_emulator.rehearsal.day_plan import (
     BLIND_S,
     BLIND_SHARE,
@@ -69,6 +69,18 @@ def test_each_fault_begins_and_ends_within_its_limits(lab, plans):
         if "for" in fault and "for" not in row.fields:
             assert 0.02 <= fault["for"] <= 16
             assert not row.at_once
+
+
+def test_a_fault_ends_unless_it_is_of_a_moment_strong_or_has_a_time_of_its_own(lab, plans):
+    rows = {row.name: row for row in rows_of(*lab)}
+    faults = [fault for plan in plans for fault in plan.faults]
+    lasting = [fault for fault in faults if not rows[fault["kind"]].at_once]
+    usual = [fault for fault in lasting if "for" not in rows[fault["kind"]].fields]
+    share = sum("for" in fault for fault in usual) / len(usual)
+    assert share == pytest.approx(STRONG, abs=4 * math.sqrt(STRONG * (1 - STRONG) / len(usual)))
+    own = [fault["for"] for fault in lasting if fault["kind"] == "tracked at times"]
+    assert own
+    assert all(6 <= seconds <= 16 for seconds in own)
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.2, 0.3)])

@@ -1,14 +1,16 @@
 """What the observer of a rehearsal derives from recorded events, without any code of the guard."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.path import Path as Outline
-from testkit.emulator.made_days import at
+from testkit.emulator.made_days import at, give_log
 from testkit.paths import ROOT
+from tetractl_emulator.fault_rows import FRAME_S
 from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
@@ -194,3 +196,43 @@ def test_wheels_time_unseen_and_status_of_an_exposure_are_those_of_each_robot():
 def test_a_robot_is_outside_by_its_greatest_excess(x, y, outside_mm):
     outside = truth_of([exposure(1.0, poses=[[x, y, 0.0]] * 3)]).outside_mm
     assert outside == pytest.approx(np.full((1, 3), outside_mm), abs=1e-6)
+
+
+FASTEST = float(SETUP.speed.max())
+
+
+@pytest.mark.parametrize(("off_mm_s", "hidden"), [(-0.5, True), (0.5, False)])
+def test_a_ghost_looks_true_up_to_what_the_wheels_of_the_fastest_robot_may_be_off(off_mm_s, hidden):
+    """Its speed may be off by `wheel_error`, and poses seem to move by 5 mm/s by their noise."""
+    setup = replace(SETUP, speed=np.array([FASTEST, FASTEST / 2, FASTEST / 4]))
+    unit_mm = setup.metres * 1000
+    speed_mm_s = LabLimits().wheel_error * FASTEST * unit_mm + 5.0 + off_mm_s
+    ghost = {"kind": "ghost", "fault": "ghost", "by": [0.0, speed_mm_s * FRAME_S], "at": 1.0}
+    truth = truth_of([at(1.0, "fault", phase="start", row=0)], [ghost])
+    truth.setup = setup
+    assert truth.false_as_true is hidden
+
+
+def accepted_x(result, valid=((True, True, True), (True, True, True))):
+    """x of green [mm] as accepted at four exposures, of which the second and third are logged."""
+    rows = [exposure(k / 100, frame=k) for k in (1, 2, 3, 4)]
+    truth = truth_of(rows)
+    mocap = np.array([[[1.0, 0, 0]] * 3, [[2.0, 0, 0]] * 3])
+    mocap[~np.array(valid)] = np.nan
+    give_log(
+        truth,
+        result=result,
+        frames=np.array([2, 3]),
+        mocap=mocap,
+        mocap_ns=np.array([20_000_000, 30_000_000]),
+        valid=np.array(valid),
+    )
+    return (truth.accepted[:, 0, 0] / truth.unit_mm).tolist()
+
+
+def test_the_newest_accepted_pose_is_kept_to_the_end_of_the_log():
+    nan = pytest.approx(math.nan, nan_ok=True)
+    assert accepted_x("complete") == [nan, 1.0, 2.0, 2.0]
+    assert accepted_x(None) == [nan, 1.0, 2.0, nan]  # nothing is known after it
+    lost = ((True, True, True), (False, True, True))
+    assert accepted_x("complete", lost) == [nan, 1.0, 1.0, 1.0]

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
-from tetractl.lab.drift_check import TOGETHER, DriftCheck
+from tetractl.lab.drift_check import LARGEST, TOGETHER, Changes, DriftCheck
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import LabLimits
 
@@ -281,3 +281,69 @@ def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
 
 def test_of_a_trial_without_motion_no_turns_are_known():
     assert Watched().check.turning() == ((), ())
+
+
+PICTURE = slice(3, 7)
+
+
+def bare_check(names=("one", "two", "three"), mm=1.0):
+    made = object.__new__(DriftCheck)
+    made._names = names
+    made._mm = mm
+    return made
+
+
+def random_changes(rng, moments, robots, noise):
+    """Sums of squares and products of random motions, as after many blocks."""
+    columns = rng.normal(size=(moments, robots, 40, 7))
+    left = rng.normal(size=(moments, robots, 40))
+    squares = np.einsum("gnbp,gnbq->gnpq", columns, columns)
+    pulls = np.einsum("gnbp,gnb->gnp", columns, left)
+    return Changes(squares, pulls, noise[:, None])
+
+
+def test_the_shift_of_all_robots_is_that_of_least_squares_weighted_by_their_noise():
+    rng = np.random.default_rng(7731)
+    noise = np.array([1.0, 3.0, 8.0])
+    changes = random_changes(rng, 2, 3, noise)
+    shifts, gains = bare_check()._shift_of_all(changes)
+    for g in range(2):
+        squares = np.diag(LARGEST[PICTURE])
+        pulls = np.zeros(4)
+        for n in range(3):
+            squares = squares + changes.squares[g, n][PICTURE, PICTURE] / noise[n]
+            pulls = pulls + changes.pulls[g, n][PICTURE] / noise[n]
+        expected = np.linalg.solve(squares, pulls)
+        assert shifts[g] == pytest.approx(expected)
+        assert gains[g] == pytest.approx(pulls @ expected)
+        # what each robot gains adds up to the reduction, apart from the prior
+        of_robots = bare_check()._gains_of_shift(changes, g, shifts[g])
+        of_prior = expected @ np.diag(LARGEST[PICTURE]) @ expected
+        assert of_robots.sum() - of_prior == pytest.approx(gains[g])
+        for n in range(3):
+            pull = changes.pulls[g, n][PICTURE]
+            square = changes.squares[g, n][PICTURE, PICTURE]
+            reduced = (2 * pull @ expected - expected @ square @ expected) / noise[n]
+            assert of_robots[n] == pytest.approx(reduced)
+
+
+def test_one_robot_alone_gives_no_evidence_of_a_motion_of_the_image():
+    changes = random_changes(np.random.default_rng(7732), 2, 1, np.ones(1))
+    _, gains = bare_check(("one",))._shift_of_all(changes)
+    assert gains.tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("mm", [1.0, 1000.0, 0.001])
+def test_poses_move_as_a_picture_that_shifts_turns_and_grows(mm):
+    """The rates are of x and y [mm/s], of the turn [rad/s] and of the scale [1/s]."""
+    pose = Pose(300.0 / mm, -200.0 / mm, 0.7)
+    dt_s = 0.04
+    rates = np.array([11.0, -7.0, 0.3, 0.05])
+    moves = bare_check(mm=mm)._picture_moves([pose, pose], np.array([dt_s, 2 * dt_s]))
+    place = np.array([300.0, -200.0])
+    turned = rates[2] * np.array([-place[1], place[0]])
+    moved = (rates[:2] + turned + rates[3] * place) * dt_s
+    along = np.array([np.cos(0.7), np.sin(0.7)])
+    across = np.array([-np.sin(0.7), np.cos(0.7)])
+    assert moves[0] @ rates == pytest.approx([along @ moved, across @ moved])
+    assert moves[1] == pytest.approx(2 * moves[0])

@@ -347,3 +347,43 @@ def test_poses_move_as_a_picture_that_shifts_turns_and_grows(mm):
     across = np.array([-np.sin(0.7), np.cos(0.7)])
     assert moves[0] @ rates == pytest.approx([along @ moved, across @ moved])
     assert moves[1] == pytest.approx(2 * moves[0])
+
+
+@pytest.mark.parametrize("radius", [40.0, 0.0])
+def test_errors_of_wheels_delays_drifts_and_pictures_move_robots_by_the_equations_of_the_module(
+    radius,
+):
+    rng = np.random.default_rng(7733)
+    dt_s = 0.05
+    commands = rng.normal(size=(5, 2)) * (100.0, 2.0)  # by delay: speed and turning rate
+    check = bare_check()
+    check._radius = radius
+    check._commanded = lambda block: commands
+    motion = rng.normal(size=3)
+    block = RobotStep(motion, motion, round(dt_s * SECOND), before=Pose(300.0, -200.0, 0.0))
+    (row,), (variance,) = check._regressors([block], motion[None])
+    v, w = commands[0]
+    assert row[:, 0] == pytest.approx(motion - [v * dt_s, 0.0, w * dt_s])
+    s, k, d, b, f, aside = unknowns = rng.normal(size=6)
+    weights = rng.normal(size=(3, 2))  # of the later and earlier commands
+    later = [weights[:, part] @ (commands[1:4, part] - commands[0, part]) for part in (0, 1)]
+    velocity = rng.normal(size=3)
+    picture = rng.normal(size=4)
+    shift_x, shift_y, turn, growth = picture
+    expected = dt_s * np.array(
+        [
+            s * v + d * w * radius + aside * w + later[0] + velocity[0],
+            b * v + f * w + velocity[1],
+            (s + k) * w + (d * v / radius if radius else 0.0) + later[1] + velocity[2],
+        ]
+    )
+    expected += dt_s * np.array(
+        [shift_x + 200 * turn + 300 * growth, shift_y + 300 * turn - 200 * growth, turn]
+    )
+    regressors = np.concatenate([unknowns, *weights.T, velocity, picture])
+    assert row[:, 1:] @ regressors == pytest.approx(expected)
+    spread = np.ptp(commands[:3], axis=0)[[0, 0, 1]] * dt_s
+    before = np.abs(commands[3:] - commands[0]).max(axis=0)[[0, 0, 1]] * dt_s
+    walk = [1.5**2 * dt_s, 1.5**2 * dt_s, 0.02**2 * dt_s]
+    lost = np.array([0.15, 0.0, 0.15])
+    assert variance == pytest.approx(walk + (lost * spread) ** 2 + (lost / 5 * before) ** 2)

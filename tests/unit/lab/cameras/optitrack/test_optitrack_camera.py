@@ -361,3 +361,9 @@ def test_an_address_that_this_computer_does_not_have_is_named():
     with pytest.raises(AbortError, match="cannot receive camera frames on the address 192"):
         server.camera().__enter__()
     assert server.sockets == []
+
+
+def test_a_camera_that_was_never_opened_can_be_closed_and_says_nothing():
+    server = Server()
+    server.camera().__exit__()
+    assert server.asked == []

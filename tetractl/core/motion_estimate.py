@@ -123,7 +123,10 @@ class Estimate:
         return unexplained
 
     def only(self, chosen: Bools) -> "Estimate":
-        """Return the estimates of the robots for which `chosen` (N,) is true."""
+        """Return the estimates of the robots for which `chosen` (N,) is true.
+
+        Quantities that are unknown, or are not per robot, stay as they are.
+        """
         if chosen.all():
             return self
         values = {quantity.name: getattr(self, quantity.name) for quantity in fields(self)}

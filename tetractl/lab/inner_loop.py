@@ -400,7 +400,10 @@ class InnerLoop:
         return sent
 
     def _send_idle(self, direction: float, ruling: Ruling, now: int) -> None:
-        """Send a direction to all robots before a run; send a stop if frames are missing."""
+        """Send a direction [rad] to all robots before a run; send a stop if frames are missing.
+
+        Something is sent at most once per period of the actuator.
+        """
         if now < self._transmit_ns:
             return
         self._transmit_ns = now + self._actuator.period_ns

@@ -234,7 +234,11 @@ class LabPlant:
         return PlantInfo(self._kind, False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
-        """Return the newest camera frame. An untracked robot keeps its last pose."""
+        """Return the newest camera frame. An untracked robot keeps its last pose.
+
+        Raises:
+            AbortError: If the guard has aborted the run.
+        """
         self._raise_abort()
         self._observed_ns = self.clock.now()
         self._take_frames()

@@ -121,7 +121,10 @@ class Here:
         self._ended = False
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
-        """Run the tasks one after another, and yield each with its result or error."""
+        """Run the tasks one after another, and yield each with its result or error.
+
+        No further task starts once a stop was requested.
+        """
         for task in tasks:
             if self._ended or self._interrupt.requested:
                 return

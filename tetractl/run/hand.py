@@ -84,7 +84,10 @@ class HandController(PlainController):
         self._problems: list[Problem] = []
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
-        """Plan the direction the person wants, or end the trial; see `PlainController.decided`."""
+        """Plan the direction the person wants; see `PlainController.decided`.
+
+        The trial is complete once the person stops it. During a pause, the method waits.
+        """
 
         def plan_of(direction: float) -> Plan:
             return given_plan(problem, np.full(self._section.ahead, direction), step_key)

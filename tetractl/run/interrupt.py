@@ -117,7 +117,10 @@ class Interrupt:
         self.request()
 
     def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
-        """If a finaliser discarded the KeyboardInterrupt, let the next request raise it again."""
+        """If a finaliser discarded the KeyboardInterrupt, let the next request raise it again.
+
+        Other exceptions are reported as usual.
+        """
         if issubclass(lost.exc_type, KeyboardInterrupt):
             self.let_break()
         else:

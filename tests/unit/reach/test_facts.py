@@ -13,7 +13,7 @@ ROBOTS = THREE_M3PI["robots"]
 @pytest.fixture(autouse=True)
 def few_sequences(monkeypatch):
     """What is said here needs no exact spread."""
-    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 50)
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 20)
 
 
 def robots_of(*rates):

@@ -123,7 +123,7 @@ def test_of_very_many_robots_nothing_is_said():
 @pytest.fixture
 def few_sequences(monkeypatch):
     """Enough to tell which robots are alike."""
-    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 200)
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 80)
 
 
 def test_as_many_robots_as_are_allowed_have_a_verdict(monkeypatch):

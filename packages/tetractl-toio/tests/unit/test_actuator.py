@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 from testkit.cli import tetractl
-from tetractl_toio.messages import SPEED_MIN, WHEEL_MM_S, Characteristic, Unpacker, decode_motor
+from tetractl_toio.actuator import EMPTY
+from tetractl_toio.messages import (
+    SPEED_MIN,
+    WHEEL_MM_S,
+    Characteristic,
+    Unpacker,
+    decode_motor,
+    pack,
+)
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Steer
@@ -17,6 +25,7 @@ class Wire(SerialPort):
 
     written: dict
     broken: set
+    charges: dict
 
     def open(self, alone=True):
         self.written[self._name] = Unpacker(), []
@@ -26,6 +35,10 @@ class Wire(SerialPort):
             raise self._fail("is gone")
         unpacker, messages = self.written[self._name]
         messages += unpacker.feed(data)
+        charge = self.charges.get(self._name)  # None if the cube does not answer
+        if charge is not None and data[0] == Characteristic.BATTERY:
+            answer = pack(Characteristic.BATTERY, bytes([charge]))
+            self._on_received(answer, self._clock.now())
         return self._clock.now()
 
     def close(self):
@@ -37,7 +50,7 @@ def cubes(tmp_path):
     """An actuator of three cubes, and its ports."""
     tetractl(tmp_path, "init", "cubes", "--lab", "--robots", "toio").ok()
     experiment = load_spec(tmp_path / "cubes.yaml").experiment
-    wire_class = type("Made", (Wire,), {"written": {}, "broken": set()})
+    wire_class = type("Made", (Wire,), {"written": {}, "broken": set(), "charges": {}})
     from tetractl_toio.actuator import ToioActuator
 
     clock = VirtualClock()
@@ -76,3 +89,35 @@ def test_a_direction_becomes_motor_commands_that_end_by_themselves(cubes):
     counts = np.array([steered.left, steered.right])
     np.testing.assert_allclose([sent.left[0], sent.right[0]], counts * WHEEL_MM_S)
     assert steered.right > steered.left >= 0
+
+
+def statuses(cubes, charges):
+    """The status of each robot, whose cubes answer these charges [%] or, if None, nothing."""
+    actuator, wire = cubes
+    names = [robot.cube for robot in actuator.section.robots]
+    wire.charges = dict(zip(names, charges, strict=True))
+    with actuator:
+        return actuator.poll(0.5)
+
+
+def test_a_cube_is_silent_empty_low_or_well(cubes):
+    actuator, _ = cubes
+    level = round(actuator.section.battery_warn)
+    silent, empty, low = statuses(cubes, (None, EMPTY - 1, level - 1))
+    assert "does not answer" in silent.problems[0]
+    assert (silent.answers, silent.charge) == (False, None)
+    assert f"is at {EMPTY - 1} %: charge it" in empty.problems[0]
+    assert (empty.answers, empty.charge, empty.warnings) == (True, EMPTY - 1, ())
+    assert f"is at {level - 1} %" in low.warnings[0]
+    assert low.problems == ()
+
+
+def test_a_cube_at_either_level_is_not_below_it(cubes):
+    actuator, _ = cubes
+    level = round(actuator.section.battery_warn)
+    at_empty, at_level, full = statuses(cubes, (EMPTY, level, 100))
+    assert at_empty.problems == ()
+    assert len(at_empty.warnings) == (level > EMPTY)
+    for well in (at_level, full):
+        assert well.problems == well.warnings == ()
+        assert well.answers

@@ -6,10 +6,10 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_check import GuardCheck
-from tetractl.core.guard_findings import Abort, Warn
+from tetractl.core.guard_findings import Abort, Excess, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
-from tetractl.lab.guard import Guard, GuardState
+from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.guard_observer import Act, GuardObserver, Unheeded, build_guard, check_of
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import LabLimits
@@ -196,3 +196,133 @@ def test_a_robot_that_was_replaced_is_watched_as_a_new_one():
     play = Play(guard).run(elsewhere, 2)
     assert play.guard.state is GuardState.RUN
     assert play.warnings == []
+
+
+class ScriptedGuard:
+    """Stands for a guard whose state and findings a test sets."""
+
+    def __init__(self):
+        self.state = GuardState.RUN
+        self.refused = ("", "")
+        self.moving = (True, True)
+        self.hidden = ()
+        self.lost = {}
+        self.tracks_all = True
+        self.reason = "too far"
+        self.excess = None
+        self.calls = []
+
+    def __getattr__(self, name):
+        return lambda *arguments: self.calls.append((name, *arguments))
+
+    def refusal_excess(self, i):
+        return Excess("motion", 9.0, 5.0, "mm", i) if self.refused[i] == "it moves" else None
+
+    def hides(self, i):
+        return i in self.hidden
+
+    def decide(self, now_ns):
+        return Ruling(self.state, self.moving, (None, None))
+
+
+def scripted():
+    """An observer of a run since 1 s, and its guard."""
+    observer = GuardObserver(ACTING)
+    observer._guard = guard = ScriptedGuard()
+    observer.start_run(SECOND)
+    return observer, guard
+
+
+def noted(observer):
+    return [(i.t_ns, i.act, i.robot, i.text, i.check) for i in observer.interventions]
+
+
+def test_only_the_time_in_which_a_guard_decides_about_a_run_counts_as_watched():
+    observer, guard = scripted()
+    observer.start_run(7 * SECOND)
+    assert [name for name, *_ in guard.calls] == ["start_run"], "a run begins once"
+    observer.decide(3 * SECOND)
+    assert observer.watched_ns == 2 * SECOND
+    guard.state = GuardState.READY
+    observer.decide(4 * SECOND)
+    assert observer.watched_ns == 2 * SECOND
+    guard.state = GuardState.HOLD
+    observer.decide(5 * SECOND)
+    assert observer.watched_ns == 4 * SECOND
+    observer.end_run()
+    observer.decide(9 * SECOND)
+    assert observer.watched_ns == 4 * SECOND
+    assert noted(observer) == []
+
+
+def test_a_pose_that_stays_refused_and_a_robot_that_stays_stopped_count_once():
+    observer, guard = scripted()
+    for k, (text, moves) in enumerate([("it moves", False), ("it moves", False), ("", True)] * 2):
+        guard.refused = ("", text)
+        guard.moving = (True, moves)
+        observer.check_frame(k, CameraFrame(k, k, k, (None, None)))
+        observer.decide(k)
+    expected = [
+        (k, act, "blue", "it moves", "motion") for k in (0, 3) for act in (Act.REFUSES, Act.STOPS)
+    ]
+    assert noted(observer) == expected
+    assert observer.interventions[0].excess == Excess("motion", 9.0, 5.0, "mm", 1)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "text", "check"),
+    [((0,), "it is not tracked", "tracking"), ((), "no new frame came", "frame")],
+)
+@pytest.mark.parametrize("state", [GuardState.RUN, GuardState.HOLD])
+def test_a_robot_that_stops_without_a_refused_pose_is_not_tracked_or_has_no_frame(
+    hidden, text, check, state
+):
+    observer, guard = scripted()
+    guard.state, guard.hidden, guard.moving = state, hidden, (False, True)
+    observer.decide(5)
+    assert noted(observer) == [(5, Act.STOPS, "green", text, check)]
+
+
+def test_a_lost_robot_that_stops_is_not_reported_again():
+    observer, guard = scripted()
+    guard.lost, guard.moving = {0: 3}, (False, True)
+    observer.decide(5)
+    assert noted(observer) == []
+
+
+@pytest.mark.parametrize(
+    ("excess", "robot", "check"),
+    [(None, "", "other"), (Excess("arena", 1.0, 0.0, "mm", 1), "blue", "arena")],
+)
+def test_an_end_of_the_run_is_reported_and_a_new_guard_knows_what_was_sent_lately(
+    excess, robot, check
+):
+    observer, guard = scripted()
+    for t_s in (0, 1, 2, 3):
+        observer.note_transmission(t_s * SECOND, (t_s, 0.0), (0.0, 0.0))
+    assert [sent.sent_ns // SECOND for sent in observer._recent] == [1, 2, 3]
+    guard.state, guard.excess = GuardState.ABORT, excess
+    observer.note_step(4 * SECOND, missed=True)
+    assert ("note_step", True) in guard.calls
+    assert noted(observer) == [(4 * SECOND, Act.ENDS, robot, "too far", check)]
+    assert isinstance(observer._guard, Guard)
+    assert observer._guard.state is GuardState.READY
+
+
+@pytest.mark.parametrize("tracks_all", [True, False])
+def test_a_new_guard_watches_once_it_sees_all_robots_with_the_last_direction(tracks_all):
+    observer, guard = scripted()
+    observer.note_direction(2 * SECOND, ahead=False)
+    guard.state, guard.tracks_all = GuardState.READY, tracks_all
+    guard.calls.clear()
+    observer.check_frame(3 * SECOND, CameraFrame(1, 0, 0, (None, None)))
+    started = [("start_run", 3 * SECOND), ("note_direction", 2 * SECOND, False)]
+    assert guard.calls[1:] == (started if tracks_all else [])
+
+
+def test_nothing_is_reported_of_frames_outside_a_run():
+    observer, guard = scripted()
+    observer.end_run()
+    guard.refused, guard.state = ("it moves", ""), GuardState.ABORT
+    observer.check_frame(5, CameraFrame(1, 0, 0, (None, None)))
+    assert noted(observer) == []

@@ -52,7 +52,7 @@ SIMULATED = (plant(), plant())
 
 @pytest.fixture
 def compared(monkeypatch, capsys):
-    """Compare two logs; returns the exit code and the lines that are told."""
+    """Compare two logs; returns the exit code and the lines that are printed."""
 
     def compare(first, second, plants=SIMULATED, outcome=Outcome.ARRIVED, lines=()):
         of_trial, again = plants

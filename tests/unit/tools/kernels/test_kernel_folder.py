@@ -10,7 +10,7 @@ from tetractl.tools.kernels.kernel_cache import folder, shipped
 
 @pytest.fixture
 def chosen(monkeypatch, tmp_path):
-    """Choose the folder anew, with the user's cache in `user`; returns what is said."""
+    """Choose the folder again, with the user's cache in `user`; returns what is said."""
     said = []
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(kernel_cache, "cache_folder", lambda: tmp_path / "user")

@@ -19,7 +19,6 @@ from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.wire import pack_message, parse
 from tetractl.spec.load import parse_spec
 
-EXPERIMENT = parse_spec(SPEC, "spec.yaml").experiment
 OWN = ("127.0.0.1", 41_000)
 KIND = natnet.MessageKind
 
@@ -27,14 +26,15 @@ KIND = natnet.MessageKind
 class Motive:
     """An emulated server above green and blue, and the sockets of its clients."""
 
-    def __init__(self, *sets, **settings):
-        lab = parse_spec(SPEC, "spec.yaml", sets).experiment.lab
+    def __init__(self, *sets, spec=SPEC, **settings):
+        experiment = parse_spec(spec, "spec.yaml", sets).experiment
+        lab = experiment.lab
         self.network = MemoryNetwork()
         self.timeline = Timeline(lambda when_ns: None)
         self.greeted = []
         stage = Stage(
             lab,
-            EXPERIMENT.setup,
+            experiment.setup,
             self.timeline,
             Options(command_port=1600, data_port=1601),
             None,
@@ -45,7 +45,7 @@ class Motive:
         )
         bodies = [
             SimpleNamespace(name=name, x=100.0, y=200.0, heading=0.0)
-            for name in EXPERIMENT.setup.names
+            for name in experiment.setup.names
         ]
         self.side = EmulatedOptitrack(stage, OptitrackSettings(**settings), bodies)
         self.read = lambda: None
@@ -256,3 +256,11 @@ def test_as_many_frames_are_damaged_as_the_fault_says():
     motive.side.acting.remove(fault)
     motive.run(0.1)
     assert len(motive.heard(client)) >= 11
+
+
+def test_the_origin_of_the_system_is_that_of_the_spec_whatever_its_unit():
+    in_cm = SPEC.replace("length: mm", "length: cm").replace("radius: 40", "radius: 4")
+    in_cm = in_cm.replace("speed: 180", "speed: 18").replace("speed: 200", "speed: 20")
+    origin = "lab.camera.origin=[30, -20]"
+    assert Motive(origin).side.view.origin == pytest.approx((30.0, -20.0))
+    assert Motive(origin, spec=in_cm).side.view.origin == pytest.approx((300.0, -200.0))

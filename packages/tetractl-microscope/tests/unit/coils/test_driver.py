@@ -12,6 +12,7 @@ from tetractl_emulator.virtual_lab import LabClock
 from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.cobs import Flag
@@ -113,3 +114,66 @@ def test_unknown_status_bits_of_a_driver_are_dropped():
     raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
     raw[2] |= 0xE0
     assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
+
+
+class SilentPort:
+    """A port to which commands are written, and whose driver answers when a test says so."""
+
+    failure = None
+
+    def __init__(self, link, baud, device, clock, heard, *hints):
+        self.clock = clock
+        self.heard = heard
+        self.sent = []
+
+    def write(self, frame):
+        self.sent.append(driver.decode_command(frame[:-1]))
+        return self.clock.now()
+
+
+def sent_to(commands, every_ms):
+    """A driver that answers none of some commands."""
+    clock = VirtualClock()
+    coils = driver.Driver("coils", 115_200, clock, SilentPort)
+    for _ in range(commands):
+        coils.send(Flag.RUN)
+        clock.sleep_until(clock.now() + every_ms * SECOND // 1000)
+    return coils, clock
+
+
+@pytest.mark.parametrize(
+    ("commands", "every_ms", "fails"),
+    [
+        (0, 1000, False),
+        (5, 1000, False),  # replies to a few rare commands may be lost
+        (20, 20, False),  # replies may be late
+        (6, 90, True),
+        (6, 80, False),
+        (30, 20, True),
+    ],
+)
+def test_a_driver_is_silent_after_six_commands_and_half_a_second(commands, every_ms, fails):
+    coils, clock = sent_to(commands, every_ms)
+    assert (coils.failure is not None) is fails
+    coils._port.heard(packed_reply(DRIVER), clock.now())
+    assert coils.failure is None
+    coils.send(Flag.RUN)
+    clock.sleep_until(clock.now() + SECOND)
+    assert coils.failure is None
+
+
+def test_an_emergency_stop_is_repeated_in_all_later_commands_and_reported():
+    coils, clock = sent_to(1, 10)
+    coils.send(Flag.RUN | Flag.EMERGENCY_STOP, 100, -50)
+    coils.send(Flag.RUN, 100, -50)
+    flags = [command.flags for command in coils._port.sent]
+    assert [bool(flag & Flag.EMERGENCY_STOP) for flag in flags] == [False, True, True]
+    assert all(flag & Flag.POLL for flag in flags)
+    assert (coils._port.sent[-1].x_ma, coils._port.sent[-1].y_ma) == (100, -50)
+    numbers = [command.sequence for command in coils._port.sent]
+    assert numbers[1] == (numbers[0] + 1) % 256 and numbers[2] == (numbers[1] + 1) % 256
+    assert not coils.is_emergency_stopped
+    stopped = replace(DRIVER, status=DriverStatus.EMERGENCY_STOPPED)
+    coils._port.heard(packed_reply(stopped), clock.now())
+    assert coils.is_emergency_stopped
+    assert coils.failure == "the current driver is emergency-stopped"

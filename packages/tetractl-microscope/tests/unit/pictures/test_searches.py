@@ -39,3 +39,26 @@ def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
     )
     assert problems == ([] if problem is None else [problem])
     assert [line.startswith(warning) for line in warnings] == ([] if warning is None else [True])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "missing"),
+    [
+        (range(7, 27), None),
+        ([*range(7, 17), *range(20, 30)], "3 of the last 23 images"),
+        ([9], None),
+    ],
+)
+def test_images_are_counted_from_the_first_that_is_kept(numbers, missing):
+    searches = [PictureSearch(k, round(k * SECOND / 30), 5_000_000, None) for k in numbers]
+    now_ns = searches[-1].received_ns
+    _, warnings = stream_lines(searches, "film", "", now_ns, None, 0)
+    assert len(warnings) == (missing is not None)
+    assert all(line.startswith(missing) for line in warnings)
+
+
+def test_a_stream_without_images_has_one_problem():
+    assert stream_lines([], "film", "", SECOND, 30.0, 0) == (
+        ["no images come from film any more"],
+        [],
+    )

@@ -694,3 +694,23 @@ def test_a_word_among_numbers_is_told_from_an_entry_that_is_empty(tmp_path):
     with pytest.raises(UsageError, match=r"line 3: x_mm: 'lost' is not a number") as caught:
         tracks_of(tmp_path, POSES.replace("3,2,0.2", "lost,2,0.2"), COMMANDS)
     assert caught.value.hint == "if nothing was measured, leave the entry empty"
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 50.0, -50.0, 1_764_000_000.0])
+@pytest.mark.parametrize(
+    ("falls_to_s", "says"),
+    [
+        (0.0, "the time goes back to an earlier value"),
+        (0.9, "the time goes back to an earlier value"),
+        (5.0, "the time is earlier than in the line before"),
+        (9.5, "the time is earlier than in the line before"),
+    ],
+)
+def test_a_time_that_falls_to_about_the_first_one_begins_again(tmp_path, begin_s, falls_to_s, says):
+    """Wherever the clock starts, only how far it fell of the 10 s so far matters."""
+    times = [begin_s + k for k in range(11)] + [begin_s + falls_to_s]
+    rows = "\n".join(f"{time},{k},0,0" for k, time in enumerate(times))
+    path = tmp_path / "poses.csv"
+    path.write_text(f"time_s,x_mm,y_mm,heading_rad\n{rows}\n")
+    with pytest.raises(UsageError, match=f"line 13: {says}"):
+        csv_tracks([path])

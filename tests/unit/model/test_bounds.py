@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
 from testkit.bounded import best_plan, seconds_of, spec
@@ -87,3 +88,20 @@ def test_three_robots_alike_are_bounded_by_their_pairs_together():
     corners = 300 * np.array([[0, 0], [1, 0], [0.5, math.sqrt(3) / 2]])
     setup = replace(setup, speed=np.full(3, 100.0), targets=setup.starts.xy + corners)
     assert least_total_error(setup, 60.0) == pytest.approx(450)
+
+
+def test_if_the_solver_fails_the_best_single_pair_still_bounds(monkeypatch):
+    rng = np.random.default_rng(1)
+    setup = spec(rng, robots=3, signals=30, kind="equal").setup
+    corners = 300 * np.array([[0, 0], [1, 0], [0.25, 0]])
+    setup = replace(setup, speed=np.full(3, 100.0), targets=setup.starts.xy + corners)
+    assert least_total_error(setup, 60.0) == pytest.approx(300)
+    solve = scipy.optimize.linprog
+
+    def fails(*args, **options):
+        solved = solve(*args, **options)
+        solved.success = False
+        return solved
+
+    monkeypatch.setattr(scipy.optimize, "linprog", fails)
+    assert least_total_error(setup, 60.0) == pytest.approx(300)

@@ -63,6 +63,21 @@ def test_the_pieces_of_a_compiled_step_are_the_step(motion, heading, u, a, v, t)
     )
 
 
+@BOTH
+@pytest.mark.parametrize("robot", [0, 1, 2])
+def test_every_robot_has_pieces_enough_however_slowly_the_others_turn(motion, robot):
+    a, v, t = np.array([1.0, 9.0, 4.0]), np.array([100.0, 200.0, 300.0]), 1.5
+    lanes = motion.lanes.of(np.column_stack([a, v]), t)
+    heading, u = 0.3, 2.9
+    x, y, c, s = 0.0, 0.0, math.cos(heading), math.sin(heading)
+    for _ in range(lanes.pieces):
+        row = lanes.rows[robot]
+        x, y, c, s = motion.lanes.advance(x, y, c, s, math.cos(u), math.sin(u), row)
+    dx, dy, turned = stepped(motion, heading, u, a[robot], v[robot], t)
+    assert (x, y) == pytest.approx((dx, dy), abs=1e-7)
+    assert math.cos(heading + turned) == pytest.approx(c, abs=1e-8)
+
+
 def held_by(motion, heading, u, a, v, t):
     """Where a robot is a time after it received a direction."""
     held = Held(

@@ -10,7 +10,7 @@ from testkit.studies import STUDY, run
 from tetractl.core.plan import Outcome
 from tetractl.statistics.estimate import distributions
 from tetractl.statistics.flagged import SAFETY
-from tetractl.study import arm_table
+from tetractl.study import arm_table, figure
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
 from tetractl.study.figure import study_figure, write_figures
 from tetractl.study.load_study import arm_name
@@ -148,6 +148,21 @@ def test_there_is_a_figure_for_each_field_and_it_repeats(ran):
     before = [path.read_bytes() for path in paths]
     again = write_figures(ran.loaded, ran.store)
     assert [path.read_bytes() for path in again] == before
+
+
+def test_figures_are_named_after_their_fields_and_none_is_empty(ran, monkeypatch):
+    drawn = []
+
+    def draw(loaded, store, field=""):
+        drawn.append(field)
+        return None if field == "robots.r.a" else object()
+
+    monkeypatch.setattr(figure, "study_figure", draw)
+    monkeypatch.setattr(figure.style, "save", lambda drawing, path: None)
+    paths = write_figures(ran.loaded, ran.store)
+    assert drawn == ["", "plant.dead_time", "robots.r.a"]
+    assert [path.name for path in paths] == ["error-arms.png", "error-plant.dead_time.png"]
+    assert {path.parent for path in paths} == {ran.store.folder}
 
 
 def test_a_figure_has_a_line_for_each_controller(ran):

@@ -53,6 +53,7 @@ def test_the_swarm_moves_by_14_to_19(seed, particles, length, iterations, warm, 
     assert fast.cost == fast.history[-1]
     assert (fast.length, fast.stopped) == (length, "iterations")
     assert fast.evaluations == particles * (iterations + 1) + warm
+    assert spec.evaluations_max == particles * (iterations + 1) + 1
     if warm:  # the caller's array is left alone
         assert fast.signals is not start
         assert np.array_equal(start, random_start(seed, length))

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from testkit.batches import REFERENCE, batch, experiment, group
+from testkit.batches import DISTURBED, REFERENCE, batch, experiment, group
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
@@ -81,3 +81,21 @@ def test_a_batch_of_which_one_error_is_thirty_times_another_has_logarithmic_axes
     assert (of_dots.get_yscale(), of_curves.get_xscale()) == ("log", "log")
     of_dots, of_curves = batch_figure([near]).axes
     assert (of_dots.get_yscale(), of_curves.get_xscale()) == ("linear", "linear")
+
+
+def headline_of(*groups):
+    """The line above the figure that names the plants."""
+    return batch_figure(list(groups)).texts[0].get_text()
+
+
+def test_the_plants_are_named_once_or_with_their_batches_where_they_differ():
+    rows = ERRORS[:4].tolist()
+    undisturbed = group(batch(rows), name="a")
+    assert headline_of(undisturbed) == "undisturbed simulation"
+    assert headline_of(undisturbed, group(batch(rows), name="b")) == "undisturbed simulation"
+    disturbed = group(batch(rows, experiment(plant=DISTURBED)), name="c")
+    assert headline_of(undisturbed, disturbed) == (
+        "a: undisturbed simulation; c: disturbed simulation"
+    )
+    aborted = group(batch(rows, experiment(plant=DISTURBED), outcome=Outcome.ABORTED), name="d")
+    assert headline_of(undisturbed, aborted) == "undisturbed simulation"  # d has no error to draw

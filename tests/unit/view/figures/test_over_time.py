@@ -19,6 +19,7 @@ from tetractl.view.figures.over_time import (
     _quantities,
     _stack,
     _true,
+    over_time_figure,
 )
 
 pytestmark = pytest.mark.slow
@@ -146,3 +147,20 @@ def test_a_fact_that_is_not_a_number_for_each_robot_is_refused(log, fact):
     with pytest.raises(LogError, match="true_a"):
         _true(with_facts(log, true_a=fact), "a")
     assert _true(with_facts(log), "a") is None
+
+
+@pytest.mark.parametrize(("with_estimate", "rows"), [(False, 1), (True, 3)])
+def test_the_figure_has_two_panels_a_row_and_a_height_for_each_row(log, with_estimate, rows):
+    """Directions and solve times, and a panel for each quantity that was estimated."""
+    steps = [replace(step, plan=replace(step.plan, estimate=None)) for step in log.steps]
+    shown = replace(log, steps=tuple(steps))
+    if with_estimate:
+        robots = len(log.start.setup.names)
+        each = np.ones(robots)
+        estimate = Estimate(each, 0.1 * each, each, 0.1 * each, 0.1 * each, 0.1 * each, 0.1, 0.01)
+        shown = with_estimates(shown, *[estimate] * len(steps))
+    figure = over_time_figure([shown])
+    panels = [axes for axes in figure.axes if axes.axison]
+    assert -(-len(panels) // 2) == rows
+    bare = over_time_figure([replace(shown, steps=tuple(steps))])
+    assert figure.get_figheight() == pytest.approx(rows * bare.get_figheight())

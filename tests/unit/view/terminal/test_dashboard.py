@@ -1,5 +1,6 @@
 """Tests of the screen of a replay at any size of the terminal."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
 from tetractl.view.player import Moment, Player, Recording, span
-from tetractl.view.terminal.dashboard import Dashboard, Footer, _end_lines
+from tetractl.view.terminal.dashboard import Dashboard, Footer, _end_lines, _number
 from tetractl.view.terminal.replay_screen import dashboard, step_line
 from tetractl.view.terminal.screen import shows_pictures
 
@@ -182,3 +183,23 @@ def test_robots_for_which_there_is_no_line_are_described_together(distances, hei
     others = distances[len(listed) :]
     described = [f"and {len(others)} more, at most {max(others):.0f}"] if others else []
     assert lines[len(listed) :] == described
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1234.5, "1234"),
+        (100.0, "100"),
+        (99.94, "99.9"),
+        (1.0, "1.0"),
+        (0.999, "0.999"),
+        (0.01234, "0.0123"),
+        (0.0, "0"),
+        (-250.4, "-250"),
+        (-2.54, "-2.5"),
+        (math.inf, "inf"),
+        (math.nan, "nan"),
+    ],
+)
+def test_a_length_has_three_digits_or_one_decimal(value, text):
+    assert _number(value) == text

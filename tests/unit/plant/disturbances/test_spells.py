@@ -21,13 +21,13 @@ def test_an_interval_contains_its_start_but_not_its_end():
 
 def test_intervals_begin_within_the_limits_and_differ_from_trial_to_trial():
     begins = []
-    for seed in range(200):
+    for seed in range(60):
         spells = section(between=[1.0, 3.0], duration=10.0).draw(np.random.default_rng(seed))
-        times_s = np.linspace(0, 4, 401)
+        times_s = np.linspace(0, 4, 101)
         active = [spells.include(time_s) for time_s in times_s]
         begins.append(times_s[active.index(True)])
-    assert min(begins) == pytest.approx(1.0, abs=0.05)
-    assert max(begins) == pytest.approx(3.0, abs=0.05)
+    assert min(begins) == pytest.approx(1.0, abs=0.15)
+    assert max(begins) == pytest.approx(3.0, abs=0.15)
     assert np.mean(begins) == pytest.approx(2.0, abs=0.2)
 
 

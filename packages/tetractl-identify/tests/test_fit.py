@@ -365,3 +365,20 @@ def test_a_speed_wanders_only_beyond_what_noise_of_positions_makes(monkeypatch):
         _, (one, two) = fitted(noise=noisy).result(("one", "two"), True)
         assert (one.misfits == (fit.ALONG,)) is wanders
         assert two.misfits == ()
+
+
+def test_a_fit_starts_from_the_measured_noise_in_units_of_the_usual_one(monkeypatch):
+    """A robot of twice the speed has twice the usual noise and walk of positions."""
+    speed = np.array([100.0, 200.0])
+    monkeypatch.setattr(fit, "position_noise", lambda frames: np.array([0.0, 1e3]))
+    monkeypatch.setattr(_Fit, "_start", lambda self, tau: (tau, self.mean, self.std))
+    made = _Fit([], np.array([4.0, 2.0]), speed, 0.1)
+    position, walk, heading, heading_walk = made._unit.T
+    assert position == pytest.approx(fit.POSITION_NOISE_S * speed)
+    assert walk == pytest.approx(fit.SLIP * speed)
+    assert heading.tolist() == [fit.HEADING_NOISE] * 2
+    assert heading_walk.tolist() == [fit.WALK] * 2
+    assert made.noise[0].tolist() == [0.0, 1.0, 0.0, 1.0]  # never less than usual
+    assert made.noise[1, 0] == pytest.approx(math.log(1e3 / (fit.POSITION_NOISE_S * 200.0)))
+    assert np.exp(made.mean[:, :2]) == pytest.approx(np.array([[4.0, 100.0], [2.0, 200.0]]))
+    assert made.mean[:, 2].tolist() == [0.0, 0.0]

@@ -74,10 +74,10 @@ def dish():
     return lab
 
 
-def turned(dish, on_look=lambda: None, seed=5):
+def turned(dish, on_look=lambda: None, seed=5, choice=CHOICE):
     with dish.plant.rig as rig:
         try:
-            return turn_field(rig, CHOICE, seed, dish.supervision, on_look)
+            return turn_field(rig, choice, seed, dish.supervision, on_look)
         finally:
             rig.loop.stop()
 
@@ -100,11 +100,12 @@ def test_cells_are_returned_after_the_time_of_the_spec_and_the_field_turns_all_t
 
 def test_a_cell_that_was_ever_near_the_edge_is_not_free(dish):
     def candidates():
-        at_the_edge = BEGIN_S + 1 < dish.clock.now() / SECOND < BEGIN_S + 2
+        at_the_edge = BEGIN_S + 0.5 < dish.clock.now() / SECOND < BEGIN_S + 1
         return [CELLS[0], replace(CELLS[1], free=not at_the_edge), replace(CELLS[2], free=False)]
 
     dish.camera.candidates = candidates
-    assert [found.free for found in turned(dish)] == [True, False, False]
+    short = CHOICE.model_copy(update={"seconds": 1.5})
+    assert [found.free for found in turned(dish, choice=short)] == [True, False, False]
 
 
 def test_a_camera_that_falls_silent_ends_the_turning_after_a_second(dish):

@@ -210,3 +210,17 @@ def test_a_robot_that_is_held_for_a_time_of_driving_goes_on(plant):
     still = np.abs(np.diff(x)) < (1e-9 if not plant.get("cells") else 0.5)
     assert still[150:350].all()
     assert not still[370:].all()
+
+
+def test_a_planning_time_is_asked_for_with_the_time_of_the_step_in_seconds():
+    class Plans(Disturbance):
+        def __init__(self):
+            self.asked_s = []
+
+        def planning_s(self, time_s):
+            self.asked_s.append(time_s)
+            return 0.05
+
+    plans = Plans()
+    driven(plant(plans), STRAIGHT[:3])
+    assert plans.asked_s == pytest.approx([0.0, PERIOD_S, 2 * PERIOD_S])

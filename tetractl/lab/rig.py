@@ -138,7 +138,7 @@ class Rig:
         """Continue with a new setup, such as robots that were just found in the image.
 
         The devices must be prepared for these robots. Their present poses become their starts, and
-        the guard begins anew.
+        the guard begins again.
         """
         self.setup = setup
         self.start_anywhere()

@@ -1,4 +1,4 @@
-"""Tests of ports that another program feeds: what arrives, and how a failure is told."""
+"""Tests of ports that another program feeds: what arrives, and how a failure is reported."""
 
 import threading
 

@@ -465,4 +465,4 @@ def test_a_robot_that_moves_in_a_pause_is_reported_after_a_while_from_where_it_s
     check.exposed((now_ns + FRAME,))
     assert list(check.pause(0, moved, stood, now_ns + FRAME)) == [], "it is back"
     check.exposed((now_ns + 2 * FRAME,))
-    assert list(check.pause(0, stood, moved, now_ns + 2 * FRAME)) == [], "the count begins anew"
+    assert list(check.pause(0, stood, moved, now_ns + 2 * FRAME)) == [], "the count begins again"

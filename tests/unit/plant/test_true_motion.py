@@ -1,4 +1,4 @@
-"""Tests of the order of events in a simulation, and of what disturbances are told."""
+"""Tests of the order of events in a simulation, and of what disturbances receive."""
 
 from types import SimpleNamespace
 
@@ -32,7 +32,7 @@ def still_drive(moving=(1.0, 0.0), commanded=(1.0, 1.0)):
 
 
 class Carries(Disturbance):
-    """Carries robots by 10 length units a second, and notes what it is told."""
+    """Carries robots by 10 length units a second, and notes what it receives."""
 
     def __init__(self):
         self.told = []

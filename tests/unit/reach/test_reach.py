@@ -158,7 +158,7 @@ def test_two_pairs_of_robots_alike_are_two_groups():
 
 @pytest.mark.usefixtures("few_sequences")
 def test_the_speed_and_the_place_of_robots_do_not_matter_but_their_headings_do():
-    """Ends count relative to speeds. Robots with other headings at first can be told apart."""
+    """Ends count relative to speeds. Robots with other headings at first can be distinguished."""
     alike = reach(three_robots(a=(6, 6, 6), speed=(100, 200, 300)))
     assert alike.identical == (NAMES,)
     robots = [

@@ -45,7 +45,7 @@ def logs_in(folder, count, name="made-up", **fields):
 
 
 def made(paths, title=None):
-    """A report, its faults and the progress that it told."""
+    """A report, its faults and the progress that it reported."""
     told = []
     html, faults = report(paths, title, lambda done, count: told.append((done, count)))
     return html, faults, told

@@ -407,7 +407,7 @@ class FilterBank:
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
-        """Replace all filters by those of another bank, and compare their scores anew."""
+        """Replace all filters by those of another bank, and compare their scores again."""
         self.bank = bank
         self._common_times = CommonTimes.of(bank, self.prior)
         self._share_scores()

@@ -26,7 +26,7 @@ LATENCY_NS = 5 * MILLISECOND
 
 
 class Link:
-    """Stands for the connections to all cubes; it keeps what is sent, and answers as told."""
+    """Stands for the connections to all cubes; it keeps what is sent, and answers as set up."""
 
     emulated = False
 

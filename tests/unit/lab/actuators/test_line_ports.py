@@ -1,4 +1,4 @@
-"""Tests of the ports of robots that take lines of text: who gets which line, who is believed."""
+"""Tests of ports of robots that take lines of text: who gets which line, whose reply counts."""
 
 import pytest
 from testkit.device_replies import reply_line

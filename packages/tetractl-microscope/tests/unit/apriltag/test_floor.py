@@ -205,7 +205,7 @@ def test_the_errors_of_the_floor_are_those_of_its_tags():
 
 
 def test_corners_are_averaged_and_the_calibration_follows_the_mean():
-    """It is made anew after 1, 2, 4, 8 and 16 images, and then after each 32."""
+    """It is repeated after 1, 2, 4, 8 and 16 images, and then after each 32."""
     floor = Floor(TAGS, MM, LENS, 0.0)
     exact = seen_by(camera())
     planes = []

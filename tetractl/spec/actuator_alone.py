@@ -47,7 +47,7 @@ def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:
 
 
 def _valid_actuator(lab: Any) -> ActuatorSection | None:
-    """Return the actuator of a lab's part of a spec, if it is valid. None if there is none."""
+    """Return the actuator section of a lab's raw data. None if it is missing or invalid."""
     if not isinstance(lab, dict) or "actuator" not in lab:
         return None
     adapter = TypeAdapter[ActuatorSection](

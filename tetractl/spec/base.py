@@ -45,14 +45,21 @@ def validated(model: type[Section], document: Document) -> Section:
 
 
 def with_tuples(value: Any) -> Any:
-    """Convert the lists in a file's data to tuples, as strict validation of a `Model` requires."""
+    """Convert the lists in a file's data to tuples, as strict validation of a `Model` requires.
+
+    Lists inside mappings and other lists are converted too. All other values stay the same.
+    """
     if isinstance(value, dict):
         return {key: with_tuples(item) for key, item in value.items()}
     return tuple(map(with_tuples, value)) if isinstance(value, list) else value
 
 
 def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
-    """Decorate a class of the spec that inherits fields, to give them other defaults by name."""
+    """Decorate a class of the spec that inherits fields, to give them other defaults by name.
+
+    Only the decorated class changes: its parent class keeps its own defaults. A name that is not a
+    field raises KeyError.
+    """
 
     def decorate(section: type[Section]) -> type[Section]:
         for name, value in values.items():
@@ -82,5 +89,8 @@ Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][
 
 
 def inconsistent(field: str, message: str) -> PydanticCustomError:
-    """Create the error by which a model's validator reports a problem of the field `field`."""
+    """Create the error by which a model's validator reports a problem of the field `field`.
+
+    The caller raises it.
+    """
     return PydanticCustomError("inconsistent", "{message}", {"field": field, "message": message})

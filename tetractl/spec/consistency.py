@@ -49,7 +49,11 @@ Findings = Iterator[SpecFinding]
 
 
 def errors_of(experiment: Experiment, written: bool) -> Findings:
-    """Yield the errors of a spec. `written` means that tetractl has written it into a log."""
+    """Yield the errors of a spec. `written` means that tetractl has written it into a log.
+
+    The places of robots and obstacles in a written spec are not checked, because a trial may have
+    measured them.
+    """
     yield from same_names(experiment)
     if not written:
         yield from misplaced(experiment)
@@ -67,7 +71,7 @@ def errors_of(experiment: Experiment, written: bool) -> Findings:
 
 
 def same_names(experiment: Experiment) -> Findings:
-    """Find robots that have the same name as an earlier robot."""
+    """Yield a finding for each robot that has the same name as an earlier robot."""
     first: dict[str, int] = {}
     for i, robot in enumerate(experiment.robots):
         earlier = first.setdefault(robot.name, i)
@@ -101,7 +105,10 @@ def misplaced(experiment: Experiment) -> Findings:
 
 
 def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
-    """Return the location in the spec of each start, target and way-point, and the point."""
+    """Return the location in the spec and the coordinates of every start, target and way-point.
+
+    They are listed robot by robot. Coordinates are in the spec's length unit.
+    """
     places: list[tuple[Loc, Point]] = []
     for i, robot in enumerate(robots):
         places.append((("robots", i, "start"), robot.start))
@@ -112,7 +119,7 @@ def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
 
 
 def _extent(arena: Arena) -> str:
-    """Return the bounds of the arena as text for a message."""
+    """Describe the bounds of the arena for a message, as numbers without a unit."""
     bounds = arena.bounds
     return f"x {bounds.left:g} to {bounds.right:g}, y {bounds.bottom:g} to {bounds.top:g}"
 
@@ -170,7 +177,11 @@ def section_errors(experiment: Experiment) -> Findings:
 
 
 def overlapping(experiment: Experiment) -> Findings:
-    """Find robots that overlap an earlier robot at the starts, way-points or targets."""
+    """Find robots whose bodies overlap their nearest earlier robot at a start, way-point or target.
+
+    Bodies that touch do not overlap. Nothing is found if each trial chooses its robots, because
+    their places are not known yet.
+    """
     if experiment.chosen is not None:
         return
     setup = experiment.setup

@@ -166,15 +166,24 @@ class ControllerSection(Model):
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
 
     def bounds(self) -> dict[str, str]:
-        """Describe further limits of a trial for display, as {name: text}."""
+        """Describe further limits of a trial for display, as {name: text}.
+
+        By default, there are none.
+        """
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return an estimate of how many 8-byte numbers a control step stores at most."""
+        """Return an estimate of how many 8-byte numbers a control step stores at most.
+
+        The default is 0, which means that the controller needs no check of its memory.
+        """
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield each field that contradicts the rest of the experiment, with a message."""
+        """Yield each field that contradicts the rest of the experiment, with a message.
+
+        Locations are relative to this section. By default, there are no contradictions.
+        """
         yield from ()
 
     @abstractmethod
@@ -188,4 +197,7 @@ class ControllerSection(Model):
         """
 
     def warm_up(self, setup: Setup) -> None:
-        """Compile the functions that the controller needs, or load them from the cache."""
+        """Compile the functions that the controller needs, or load them from the cache.
+
+        By default, there is nothing to compile.
+        """

@@ -51,7 +51,10 @@ class Disturbance:
         return a, speed
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the true start poses, given the spec's start poses; called once."""
+        """Return the true start poses, given the start poses in the spec.
+
+        This method is called once, before the trial. By default, the poses stay the same.
+        """
         return poses
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
@@ -130,7 +133,7 @@ class Disturbance:
 def overriding(
     disturbances: Sequence[Disturbance], method: Callable[..., Any]
 ) -> list[Disturbance]:
-    """Return the disturbances that override a method of `Disturbance`, in order."""
+    """Return the disturbances whose class overrides a method of `Disturbance`, in their order."""
     name = method.__name__
     return [
         disturbance
@@ -146,7 +149,10 @@ class DisturbanceSection(Model):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether this disturbance can lose camera frames; see `Disturbance.received`."""
+        """Whether this disturbance can lose camera frames; see `Disturbance.received`.
+
+        False by default.
+        """
         return False
 
     @property
@@ -156,4 +162,7 @@ class DisturbanceSection(Model):
 
     @abstractmethod
     def build(self, setup: Setup, rng: np.random.Generator) -> Disturbance:
-        """Create the disturbance for one trial, with its own random generator `rng`."""
+        """Create the disturbance for one trial, with its own random generator `rng`.
+
+        All random numbers of the disturbance must come from this generator.
+        """

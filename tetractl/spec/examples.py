@@ -10,7 +10,11 @@ FOLDER = "experiments"
 
 
 def shipped_folder() -> Path:
-    """Return the folder of the example specs, in the source tree or in the installed package."""
+    """Return the folder of the example specs, in the installed package or in the source tree.
+
+    Raises:
+        UsageError: If neither of them has the examples.
+    """
     package, source_tree = Path(__file__).resolve().parents[1:3]
     for folder in (package / FOLDER, source_tree / FOLDER):
         if (folder / "three_m3pi.yaml").is_file():

@@ -57,7 +57,7 @@ class ShapeSection(Model):
 
     @abstractmethod
     def shape(self) -> Shape:
-        """Return the obstacle's corners and radius."""
+        """Return the obstacle's shape in the arena's coordinates [length unit]."""
 
 
 Obstacle = Annotated[ShapeSection, KindSection(SHAPES, ShapeSection)]
@@ -77,7 +77,7 @@ class Arena(Model):
 
     @property
     def bounds(self) -> Bounds:
-        """The arena, in which the robots drive, as a rectangle."""
+        """The edges of the arena [length unit]: left, bottom, right and top."""
         return Bounds(self.left, self.bottom, self.left + self.width, self.bottom + self.height)
 
 
@@ -108,7 +108,10 @@ class PerStrength(Model):
 
     @property
     def alpha(self) -> float:
-        """The turning rate [rad/s] per unit of the field's strength."""
+        """The turning rate per unit of the field's strength [rad/s per mT or per V/cm].
+
+        The unit depends on the key that the spec uses.
+        """
         return self.per_mt or self.per_v_cm or 0.0
 
 
@@ -305,7 +308,11 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
-        """Assign the targets, and set `assign` to `given`, so that they are not assigned again."""
+        """Assign the targets, and set `assign` to `given`, so that they are not assigned again.
+
+        If each trial chooses its robots, store the rule in `chosen`, and put placeholders in the
+        middle of the arena instead. Their targets are assigned later.
+        """
         if isinstance(self.robots, TrialRobots):
             # placeholders in the arena's middle, until a trial's robots are known
             arena = self.arena
@@ -344,7 +351,11 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
-        """Refuse a spec if some of its fields contradict each other."""
+        """Refuse a spec if some of its fields contradict each other.
+
+        This applies to unequal numbers of way-points, to `on_lost: replace` where it is not
+        supported, and to a missing `strength`. Only the first contradiction is reported.
+        """
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:
             listed = " and ".join(map(str, sorted(counts)))
@@ -388,7 +399,10 @@ class Experiment(Model):
         return self.chosen.sought() if self.chosen else self.robots
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy. Its `setup` is created again, because it depends on the plant."""
+        """Return a copy with the fields in `update` replaced. Their values are not validated.
+
+        The copy computes its own `setup`, because `setup` depends on the plant.
+        """
         copied = super().model_copy(update=update, deep=deep)
         vars(copied).pop("setup", None)
         return copied
@@ -432,7 +446,11 @@ class Experiment(Model):
 
     @property
     def _loss(self) -> LossRule | None:
-        """The rule for lost robots. None if the plant alone decides about them."""
+        """The rule for lost robots.
+
+        None if a lost robot stops the trial and the robots have no wheels. Then the plant alone
+        decides.
+        """
         on_wheels = self.wheels is not None
         if self.on_lost == "stop" and not on_wheels:
             return None
@@ -464,13 +482,19 @@ def dealt(starts: Floats, targets: Floats) -> list[int]:
 
 
 def packages(spec: Model) -> dict[str, str]:
-    """Return {name: version} of packages other than tetractl that provide kinds used in a spec."""
+    """Return {name: version} of packages other than tetractl that provide kinds used in a spec.
+
+    Empty if all kinds are built in.
+    """
     used = (registry.kind(name) for registry, name in _kinds(spec))
     return {kind.package: kind.version for kind in used if kind.package}
 
 
 def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
-    """Yield registry and name of every kind that a part of the spec uses."""
+    """Yield registry and name of every kind that a part of the spec uses, at any depth.
+
+    A kind that is used several times occurs several times.
+    """
     if isinstance(value, tuple):
         for item in value:
             yield from _kinds(item)

@@ -80,7 +80,7 @@ class Mistake:
 
     @property
     def context(self) -> dict[str, Any]:
-        """The limits and names that a message about the mistake needs."""
+        """The limits and names that a message about the mistake needs. Empty if it needs none."""
         return self.details.get("ctx", {})
 
 
@@ -185,7 +185,10 @@ def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
 
 
 def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
-    """Describe each type that can be chosen here, keyed by name."""
+    """Return {name: description} of each type that can be chosen here.
+
+    If there is no description, the name takes its place.
+    """
     if mistake.context.get("known"):
         return mistake.context["known"]
     tags = map(tag, alternatives(mistake.about, schema))
@@ -221,7 +224,10 @@ def _words(mistake: Mistake) -> str:
 
 
 def list_of(about: Schema) -> str:
-    """Describe the list that a schema requires, such as "a list of 2 numbers", and its meaning."""
+    """Describe the list that a schema requires, such as "a list of 2 numbers".
+
+    If the schema has a description, its first sentence follows after a colon.
+    """
     entries = about.get("prefixItems") or [about.get("items") or {}]
     count = f"{len(entries)} " if "prefixItems" in about else ""
     kind = LISTED.get(str(entries[0].get("type")), "entries")
@@ -230,7 +236,11 @@ def list_of(about: Schema) -> str:
 
 
 def words(details: ErrorDetails, value: Any) -> str:
-    """Convert an error of the library pydantic to a message in plain words."""
+    """Convert an error of the library pydantic to a message in plain words.
+
+    If there is no text for this kind of error, return the library's message, beginning with a small
+    letter.
+    """
     kind = details["type"]
     context = details.get("ctx", {})
     if kind in MESSAGES:
@@ -247,7 +257,10 @@ def words(details: ErrorDetails, value: Any) -> str:
 
 
 def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
-    """Suggest what was meant by an unknown key, as a text that follows "unknown key"."""
+    """Suggest what was meant by an unknown key, as a text that follows "unknown key".
+
+    If no field has a similar name, list the fields that are known at this place.
+    """
     spaced = with_space(key)
     if spaced:
         return f"; {spaced}"

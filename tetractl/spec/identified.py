@@ -113,13 +113,19 @@ def merge(document: Document, identified: Identified, origin: str, estimates: bo
 
 
 def _length_unit(document: Document) -> Any:
-    """Return the length unit that a spec states, which need not be valid, or the default."""
+    """Return the length unit that a spec states, or "mm" if it states none.
+
+    The unit has not been validated, so it may be of any type.
+    """
     units = document.data.get("units")
     return units.get("length", "mm") if isinstance(units, dict) else "mm"
 
 
 def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
-    """Return the robots of a spec that are mappings, keyed by their index in the list."""
+    """Return the robots of a spec that are mappings, keyed by their index in the list.
+
+    Empty if the spec has no list of robots.
+    """
     robots = document.data.get("robots")
     if not isinstance(robots, list):
         return {}
@@ -129,7 +135,11 @@ def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
 def _put_rate(
     document: Document, loc: Loc, a_rad_s: float, strength: float | None, place: Place
 ) -> None:
-    """Replace a robot's turning rate a by the one that was identified at a field strength."""
+    """Replace a robot's turning rate a [rad/s] by the one that was identified at a field strength.
+
+    If the spec gives the rate per strength, the identified rate is divided by `strength`. If the
+    strength is None, the rate stays the same, and a problem is added to the document.
+    """
     stated = document.holder(loc).get("a")
     if not isinstance(stated, dict) or len(stated) != 1:
         document.put(loc, a_rad_s, place)

@@ -85,7 +85,10 @@ class DeviceSection(Model):
         yield from ()
 
     def bounds(self) -> dict[str, str]:
-        """Describe the device's address and limits for display, as {name: text}."""
+        """Describe the device's address and limits for display, as {name: text}.
+
+        Empty by default.
+        """
         return {}
 
 
@@ -113,7 +116,7 @@ class CameraSection(DeviceSection):
     def heading_offset(self, name: str) -> float | None:
         """Return the angle that the camera adds to a robot's measured heading [rad].
 
-        None if the section has no such angle.
+        None if the section has no such angle, which is the default.
         """
         return None
 
@@ -129,11 +132,17 @@ class ActuatorSection(DeviceSection):
     """The function that implements `stop_all`, as "module:function"."""
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield each contradiction with the lab's camera, in the form of `contradictions`."""
+        """Yield each contradiction between this actuator and the lab's camera, with a message.
+
+        Locations are relative to the actuator's section. By default, there are no contradictions.
+        """
         yield from ()
 
     def require_port(self) -> None:
-        """Raise AbortError if the device's port does not exist. No device is opened."""
+        """Raise AbortError if the device's port does not exist. No device is opened.
+
+        By default, nothing is checked, because a device need not have a port.
+        """
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Create the actuator for the setup's robots, in their order, without opening it."""
@@ -311,11 +320,15 @@ class LabSection(PlantSection):
         return self.camera.sight
 
     def require_devices(self) -> None:
-        """Check that the actuator's port exists. AbortError is raised if not."""
+        """Raise AbortError if the actuator's port does not exist. No device is opened."""
         self.actuator.require_port()
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the contradictions in the sections of both devices."""
+        """Yield each field of the lab that contradicts another field, with a message.
+
+        Each device checks its own section, and the actuator also compares itself with the camera. A
+        lag is refused for robots without wheels. Locations are relative to the lab's section.
+        """
         for device, section in (("camera", self.camera), ("actuator", self.actuator)):
             for loc, message in section.contradictions(setup):
                 yield (device, *loc), message
@@ -345,7 +358,7 @@ Part = TypeVar("Part", bound=RobotPart)
 
 
 def entry(robots: Sequence[Part], name: str) -> Part:
-    """Return the entry of the robot with this name. `mismatches` has checked that it exists."""
+    """Return the first entry with this name. `mismatches` has checked that it exists."""
     return next(robot for robot in robots if robot.name == name)
 
 
@@ -384,7 +397,10 @@ def mismatches(
 
 
 def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
-    """Yield a contradiction if the fastest robot exceeds its wheels' maximum speed [mm/s]."""
+    """Yield a contradiction if the fastest robot exceeds the maximum speed [mm/s].
+
+    The speeds of the spec are converted to mm/s. A speed equal to the maximum is allowed.
+    """
     speeds = setup.speed * setup.metres * 1000
     if speeds.max() > speed_max_mm_s:
         name = setup.names[int(speeds.argmax())]

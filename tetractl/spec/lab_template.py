@@ -47,7 +47,11 @@ def lab_template(robots: str, camera: str | None) -> str:
 
 
 def _for_each_robot(text: str, names: Sequence[str]) -> str:
-    """Repeat the lines with `@ROBOT@` in the text of a part for each robot."""
+    """Repeat each line of a part that contains `@ROBOT@` once for each robot.
+
+    `@ROBOT@` becomes the robot's name, and `@I@` its index from 0. A line without `@ROBOT@` occurs
+    once, with 0 for `@I@`.
+    """
     lines: list[str] = []
     for line in text.splitlines(keepends=True):
         if "@ROBOT@" not in line:
@@ -60,7 +64,13 @@ def _for_each_robot(text: str, names: Sequence[str]) -> str:
 
 
 def _part(what: str, kind: str) -> str:
-    """Return the text of one part of the template, from the folder `robots` or `cameras`."""
+    """Return the text of one part of the template, from the folder `robots` or `cameras`.
+
+    A template of tetractl takes precedence over one of the same kind in another package.
+
+    Raises:
+        UsageError: If there is no template for this kind.
+    """
     parts: dict[str, Path] = {}
     for folder in (OURS, *TEMPLATES.usable().values()):
         for file in sorted((folder / what).glob("*.yaml")):
@@ -71,7 +81,7 @@ def _part(what: str, kind: str) -> str:
 
 
 def _no_part(what: str, kind: str, parts: list[str]) -> UsageError:
-    """Return the error for a kind of robots or cameras that has no part."""
+    """Create the error for a kind of robots or cameras that has no part. The caller raises it."""
     option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
     needs = not_installed(types.group, kind)
     if needs is not None:

@@ -68,7 +68,11 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
 
 
 def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Read and check a spec file, as `load_document` does."""
+    """Read and check a spec file, with the values in `settings` in place of its own.
+
+    Raises:
+        InvalidSpecError: If the file cannot be read, or if the spec has errors.
+    """
     return load_document(read_document(path), settings)
 
 
@@ -124,7 +128,7 @@ def parse_contents(
 
 @contextmanager
 def without_lines() -> Iterator[None]:
-    """Raise problems of contents without line numbers, because there is no file."""
+    """In the block, raise problems of contents without line numbers, because there is no file."""
     try:
         yield
     except InvalidSpecError as error:
@@ -146,7 +150,7 @@ def as_text(contents: Mapping[str, Any], name: str) -> str:
 
 
 def is_study(document: Document) -> bool:
-    """Check whether the keys of a file belong to a study instead of a spec."""
+    """Check whether a file is a study: it has the key `base`, but not the key `robots`."""
     return "base" in document.data and "robots" not in document.data
 
 
@@ -157,7 +161,10 @@ def _refuse_study(document: Document) -> None:
 
 
 def _named_file(document: Document, loc: Loc) -> str | None:
-    """Return the name of the file that a field of a spec refers to. None if there is none."""
+    """Return the name of the file that a field of a spec refers to.
+
+    None if the field is missing or is not a string.
+    """
     name: Any = document.data
     for key in loc:
         name = name.get(key) if isinstance(name, dict) else None
@@ -224,13 +231,16 @@ def _put_controller_file(settled: Document, attached: Attached) -> Attached:
 
 
 def _folder(document: Document) -> Path:
-    """Return the folder that contains the file of a document."""
+    """Return the folder of a document's file. The document must come from a file."""
     assert document.path is not None, "a document that comes from no file names none"
     return document.path.parent
 
 
 def _refuse_named_files(document: Document) -> None:
-    """Add a problem for each file that the spec refers to, because there is no folder for it."""
+    """Add a problem for each file that the spec refers to, because there is no folder for it.
+
+    The problems are stored in the document, and nothing is raised.
+    """
     refusal = "can be named only in a spec file"
     if _named_file(document, IDENTIFIED) is not None:
         document.refuse(IDENTIFIED, refusal)
@@ -254,7 +264,10 @@ def _estimates(document: Document) -> bool:
 
 
 def _controller_kind(document: Document) -> type[ControllerSection] | None:
-    """Return the class of a document's controller. None if no installed kind has its type."""
+    """Return the class of a document's controller.
+
+    A spec without a type has the default controller. None if no installed kind has the given type.
+    """
     controller = document.data.get("controller", {})
     if not isinstance(controller, dict):
         return None

@@ -58,16 +58,19 @@ class LoadedSpec(Shown):
 
 
 def with_controller(spec: LoadedSpec, controller: ControllerSection) -> LoadedSpec:
-    """Return a spec with another controller, without checking it. Its text has every field."""
+    """Return a copy of a spec with another controller, without checking it.
+
+    Its text has every field.
+    """
     experiment = spec.experiment.model_copy(update={"controller": controller})
     return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
 
 
 def with_seed(spec: LoadedSpec, seed: int) -> LoadedSpec:
-    """Return a spec with another seed. Its text states every field.
+    """Return a copy of a spec with another seed. Its text states every field.
 
     Raises:
-        SpecError: If the seed is wrong.
+        SpecError: If the seed is negative, or is 2**64 or more.
     """
     try:
         trials = Trials(count=spec.experiment.trials.count, seed=seed)
@@ -100,7 +103,11 @@ def spec_hash(experiment: Experiment, logged: Any = None) -> str:
 
 
 def _with_logged_keys(fields: Any, logged: Any) -> Any:
-    """Remove the fields that a logged spec lacks because they were added to tetractl later."""
+    """Restrict the fields of a spec to the keys of a logged spec, at every depth.
+
+    This removes fields that were added to tetractl later. If a logged key is unknown now, its
+    logged value is kept.
+    """
     if isinstance(fields, dict) and isinstance(logged, dict):
         return {
             key: _with_logged_keys(fields[key], value) if key in fields else value

@@ -60,7 +60,10 @@ def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def not_installed(group: str, name: str) -> tuple[str, str] | None:
-    """Explain which package provides a name, with a hint how to install it. None if none does."""
+    """Explain which package provides a name, and how to install it, as (problem, hint).
+
+    None if no known package provides it. The caller has checked that the name is not installed.
+    """
     package = BRINGS.get((group, name))
     if package is None:
         return None

@@ -55,7 +55,10 @@ class PlantSection(Model):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether camera frames may be lost in transit, so that gaps in a log are not damage."""
+        """Whether camera frames may be lost in transit, so that gaps in a log are not damage.
+
+        By default, this is true of every plant except a simulation.
+        """
         return not self.simulated
 
     @abstractmethod
@@ -76,7 +79,10 @@ class PlantSection(Model):
         return UNSTATED
 
     def require_devices(self) -> None:
-        """Raise AbortError if a lab's port does not exist. No device is opened."""
+        """Raise AbortError if a lab's port does not exist. No device is opened.
+
+        By default, there are no devices to check.
+        """
 
     @abstractmethod
     def build(
@@ -101,7 +107,10 @@ class PlantSection(Model):
         return False
 
     def bounds(self) -> dict[str, str]:
-        """Describe the limits of a trial on this plant for display, as {name: text}."""
+        """Describe the limits of a trial on this plant for display, as {name: text}.
+
+        Empty by default.
+        """
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:

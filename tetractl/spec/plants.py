@@ -154,10 +154,10 @@ def lab_as(kind: str | None, lab: LabSection) -> LabSection:
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment, as its spec describes it.
+    """Return the lab of an experiment: its plant or, if that is simulated, the section `lab`.
 
     Raises:
-        SpecError: If it has none.
+        SpecError: If it has no lab. The message starts with `name`.
     """
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
@@ -198,7 +198,11 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 
 def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration file. Errors do not quote the text of other kinds of files."""
+    """Parse a calibration file. Errors do not quote the text of other kinds of files.
+
+    Raises:
+        SpecError: If it is not YAML, or lacks the key `measured`.
+    """
     try:
         document = parse_document(text, origin)
     except InvalidSpecError:

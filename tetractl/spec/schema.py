@@ -42,7 +42,10 @@ def describe(loc: Loc, data: Any, root: dict[str, Any]) -> dict[str, Any]:
 
 
 def child(data: Any, step: str | int) -> Any:
-    """Return the value at a key or index. None if it does not exist."""
+    """Return the value at a key or index.
+
+    None if it does not exist, or if the data has no entries.
+    """
     if isinstance(data, dict):
         return data.get(step)
     if isinstance(data, list) and isinstance(step, int) and step < len(data):
@@ -57,12 +60,18 @@ def alternatives(node: dict[str, Any], root: dict[str, Any]) -> list[dict[str, A
 
 
 def tag(node: dict[str, Any]) -> str | None:
-    """Return the value of `type` that selects this alternative of a union."""
+    """Return the value of `type` that selects this alternative of a union.
+
+    None if it has no type.
+    """
     return node.get("properties", {}).get("type", {}).get("const")
 
 
 def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
-    """Yield the dotted paths of all fields with this name, as `--set` takes them."""
+    """Yield the dotted paths of all fields with this name, as `--set` takes them, at any depth.
+
+    Each path occurs once. The index of every list is 0.
+    """
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
         node = dereferenced(node, root)
@@ -103,7 +112,10 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any]) -> dict[str
 
 
 def dereferenced(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema that a node's `$ref` names, merged with the node's other entries."""
+    """Return the schema that a node's `$ref` names, merged with the node's other entries.
+
+    The node's own entries take precedence. A node without a `$ref` is returned as it is.
+    """
     if "$ref" not in node:
         return node
     target = root["$defs"][node["$ref"].rpartition("/")[2]]
@@ -111,7 +123,10 @@ def dereferenced(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unwrapped(value: Any) -> Any:
-    """Replace line breaks by spaces in descriptions, which come from docstrings."""
+    """Replace line breaks by spaces in descriptions, at every depth.
+
+    The descriptions come from docstrings, whose lines are wrapped.
+    """
     if isinstance(value, dict):
         return {
             key: " ".join(item.split())

@@ -191,7 +191,7 @@ def scalar(tag: str, text: str) -> str | bool | int | float | None:
 
 
 def short_tag(tag: str) -> str:
-    """Return the short form of a tag, such as `!!map`."""
+    """Return the short form of a YAML core tag, such as `!!map`. Other tags stay the same."""
     return tag.replace(CORE, "!!")
 
 

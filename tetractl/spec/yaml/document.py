@@ -110,12 +110,15 @@ class Document:
         return self.place(loc).problem(loc, message, value)
 
     def refuse(self, loc: Loc, message: str) -> None:
-        """Add a problem about the value at a location, with the value's text."""
+        """Add a problem about the value at a location, with the value's text. Nothing is raised."""
         place = self.place(loc)
         self.problems.append(place.problem(loc, message, place.text))
 
     def holder(self, loc: Loc) -> Any:
-        """Return the mapping or list that holds, or will hold, the value at a location."""
+        """Return the mapping or list that holds, or will hold, the value at a location.
+
+        The holder must exist.
+        """
         holder: Any = self.data
         for step in loc[:-1]:
             holder = holder[step]
@@ -136,12 +139,21 @@ class Document:
         self.places[loc] = place
 
     def take_out(self, loc: Loc) -> None:
-        """Remove the value at a location, but remember its place for problems."""
+        """Remove the value at a location, but remember its place for problems.
+
+        The value must exist.
+        """
         del self.holder(loc)[loc[-1]]
 
 
 def read_document(path: Path) -> Document:
-    """Read and parse a spec file, or one that a spec names, as `read_text` and `parse_document`."""
+    """Read and parse a spec file, or a file that a spec names.
+
+    Problems of single values are kept in the document's `all_problems`.
+
+    Raises:
+        InvalidSpecError: If the file cannot be read, or is not a mapping in YAML.
+    """
     document = parse_document(read_text(path), str(path))
     return replace(document, path=path)
 
@@ -228,6 +240,7 @@ class _Builder:
     def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Place, Node]]:
         """Yield each key of a mapping, its place and the node of its value.
 
+        A key that is not text, or that occurs a second time, is left out and added to the problems.
         The next key is requested after the value is built.
         """
         for key, value in node.value:
@@ -246,7 +259,10 @@ class _Builder:
                 yield key.value, place, value
 
     def place(self, node: Node, key: Place | None = None) -> Place:
-        """Return the place of a node with this key, with its text if that is on a single line."""
+        """Return the place of a node with this key, with line and column counted from 1.
+
+        It includes the node's text if that is on a single line and the node is not a mapping.
+        """
         start = node.start_mark
         text = self.text[start.index : node.end_mark.index].strip()
         one_line = "\n" not in text and not isinstance(node, MappingNode)

@@ -39,7 +39,10 @@ class SpecProblem:
 
     @property
     def where(self) -> str:
-        """The location as `origin:line:column`, which editors and terminals can follow."""
+        """The location as `origin:line:column`, which editors and terminals can follow.
+
+        It is only the origin if the line is unknown.
+        """
         return self.origin if self.line is None else f"{self.origin}:{self.line}:{self.column}"
 
     def __str__(self) -> str:
@@ -62,7 +65,10 @@ class InvalidSpecError(SpecError):
         return "\n".join(_in_python(line) for line in lines)
 
     def lines(self) -> list[str]:
-        """Return one line per problem; a very long list is cut."""
+        """Return one line per problem.
+
+        After SHOWN_PROBLEMS of them, one line says that there are more.
+        """
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
             lines.append(f"{self.problems[0].origin}: there are more problems; correct these first")
@@ -70,13 +76,16 @@ class InvalidSpecError(SpecError):
 
 
 def _in_python(line: str) -> str:
-    """Adapt the line of a problem for Python, where a setting is an argument of `load_spec`."""
+    """Adapt the line of a problem for Python, where a setting is an argument of `load_spec`.
+
+    A line about `--set` then starts with "setting". Other lines stay the same.
+    """
     setting = line.removeprefix("--set ")
     return line if setting == line else f"setting {setting}"
 
 
 def dotted(loc: Loc) -> str:
-    """Return a location as a path for `--set`, such as `robots.0.start`."""
+    """Return a location as a path for `--set`, such as `robots.0.start`, cut to 200 characters."""
     return printable(".".join(map(str, loc)), 200)
 
 

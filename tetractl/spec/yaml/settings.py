@@ -65,7 +65,13 @@ def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Docume
 
 
 def _put_text(document: Document, setting: str) -> None:
-    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place."""
+    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place.
+
+    Mappings that are missing on the way to it are created.
+
+    Raises:
+        InvalidSpecError: If the setting is malformed, or its path leads nowhere.
+    """
     place = Place(f"--set {printable(setting, 200)}")
     path, equals, text = setting.partition("=")
     path = path.strip()
@@ -105,9 +111,8 @@ def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
     """Return the key or index that one step of a path means in `holder`, the value at `loc`.
 
     Raises:
-        InvalidSpecError: If the step is empty, if it is no index of a list, or if the value is no
-            list
-            and no mapping.
+        InvalidSpecError: If the step is empty, if it is no index of a list, or if the value is
+            neither a list nor a mapping.
     """
     if isinstance(holder, list):
         return _index(holder, loc, step, place)
@@ -120,7 +125,11 @@ def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
 
 
 def _index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
-    """Return the index of the list entry that a step means, by index or by name."""
+    """Return the index of the list entry that a step means, by index from 0 or by name.
+
+    Raises:
+        InvalidSpecError: If the list has no such entry.
+    """
     names = {
         i: str(entry["name"])
         for i, entry in enumerate(entries)

@@ -52,9 +52,9 @@ class RobotWatch(Protocol):
         ...
 
     def lost(self) -> Iterable[Lose]:
-        """Return each robot that counts as lost now, with the reason.
+        """Return each robot whose body the camera no longer knows, with the reason.
 
-        The robot may still be in view.
+        The body may still be in view, as that of a cell that has divided.
         """
         ...
 

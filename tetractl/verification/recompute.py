@@ -360,7 +360,10 @@ class StepSearches:
         return CheckedController(log.experiment.controller, log.start.setup, key, host)
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Continue with the logged searches of another step. Given signals need no search."""
+        """Take the logged searches of the next control step, which `search` answers from.
+
+        Plans that the controller was given, rather than searched for, are left out. Nothing is
+        contradicted or requested yet."""
         self._to_come = [
             (index, search)
             for index, search in enumerate(searches)

@@ -98,10 +98,10 @@ class PriorSection(Model):
     """
 
     def rests(self, setup: Setup) -> bool:
-        """Check whether the filters should expect that cells rest sometimes.
+        """Check whether the filters of an experiment allow for cells that sometimes stop swimming.
 
-        True for cells if the spec gives both kinds of measurement noise: a resting cell that
-        strays can be distinguished from noise only if the noise is known.
+        True for cells if the spec gives the noise of positions and of headings: only then can the
+        small motion of a resting cell be distinguished from noise. False for robots on wheels.
         """
         is_noise_known = self.position_noise > 0 and self.heading_noise > 0
         return not setup.on_wheels and is_noise_known

@@ -124,10 +124,12 @@ class Margins:
     def applied(
         self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
     ) -> Problem:
-        """Return a problem with obstacles grown by their margins, and a separation of robots.
+        """Return the problem with the distances that plans must keep from obstacles and robots.
 
-        If `collision.adaptive` is false, all obstacles get the margin and the robot radius,
-        without an allowance for uncertainty and without a reduction.
+        Obstacles and walls grow by the margin, the robot radius, and an allowance for how far
+        robots may be off their course; by less where a robot or target would be inside. If
+        `collision.adaptive` is false, they always grow by the margin and the radius, and the
+        separation of the robots is that of the spec.
 
         Args:
             problem: The problem of the control step.

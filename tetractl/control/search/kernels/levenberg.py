@@ -82,9 +82,10 @@ POLISH_STATE = np.dtype(
 
 
 class Room(NamedTuple):
-    """The working arrays for improving one sequence (a polish), allocated once and used again.
+    """The working arrays for improving one sequence of signals, allocated once and reused.
 
-    Sizes: N robots, L signals, O obstacles and walls, at most R residuals, M = width(L).
+    Sizes: N robots, L signals, O obstacles and walls, M = width(L). R is the maximum number of
+    residuals of the least-squares problem.
     """
 
     path: Trace

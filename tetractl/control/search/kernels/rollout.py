@@ -152,7 +152,7 @@ def costs(problem, rollouts, signals, total):
 
 @compiled(**PART_FAST)
 def count_meetings(x, y, separation, hits):
-    """Count how often each robot is too close to a robot before it, for each particle.
+    """Count how often each robot is too close to a robot with a lower index, for each particle.
 
     Args:
         x: x of the robots, shape (N, P).

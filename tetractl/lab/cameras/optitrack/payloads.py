@@ -262,13 +262,16 @@ MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)
 
 
 class SkippedLayout(NamedTuple):
-    """The layout of a data set that is skipped, in protocols before 4.1.
+    """How long a description of something other than a rigid body is, so that it can be skipped.
+
+    Protocols before 4.1 do not send its length, so it follows from the parts: bytes, names that
+    end with a zero byte, bytes again, and for some kinds a list of names.
 
     Attributes:
-        bytes_before: Bytes before its names.
-        names: Number of its names.
-        bytes_after: Bytes after its names.
-        ends_with_names: True if a counted list of names follows.
+        bytes_before: Number of bytes before the names.
+        names: Number of names.
+        bytes_after: Number of bytes after the names.
+        ends_with_names: True if a list of names follows, which begins with its length.
     """
 
     bytes_before: int

@@ -101,9 +101,9 @@ def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:
 
 
 def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> Figure:
-    """Create the figure of a fraction that is not known.
+    """Create the figure of a fraction that is not known, for the given reason.
 
-    Its JSON has the same keys as the figure of a known fraction.
+    Its JSON has the same keys as the figure of a known fraction, with the value None.
     """
     items = {key: None, f"{key}_ci95": None}
     return Figure(label, f"{NONE} ({reason})", items, unusual)
@@ -260,7 +260,10 @@ def _time_inside(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _lost(trial: ResultSummary) -> dict[str, Any]:
-    """Describe how many robots were lost. Empty if a lost robot ends a trial."""
+    """Return {"lost": number of lost robots}.
+
+    Empty if the spec lets a lost robot stop the trial.
+    """
     return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
 
 
@@ -321,7 +324,7 @@ def discs(log: TrialLog) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
-    """Return `discs` of the log with a content digest, from a cache.
+    """Return `discs` of the log with a content digest, from a cache if it was computed before.
 
     Both the table of trials and the means need it.
     """
@@ -330,9 +333,10 @@ def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
 
 
 def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the diameter of the disc in which each robot stayed during the hold.
+    """Return {disc_NAME: diameter} of the disc in which each robot stayed during the hold.
 
-    None if the hold was not completed.
+    Diameters are in the spec's length unit, or None if the trial is incomplete. The result is empty
+    if the spec has no hold, or if the hold is not longer than SETTLING_S.
     """
     hold = trial.experiment.hold
     if hold is None or hold.time <= SETTLING_S:
@@ -345,7 +349,10 @@ def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _mean_discs(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return the mean diameter of each robot's disc over the trials, with its 95 % interval."""
+    """Return the mean diameter of each robot's disc over the trials, with its 95 % interval.
+
+    Trials without a diameter do not count. The list is empty if the spec has no hold.
+    """
     rows = [_disc_columns(trial) for trial in trials]
     unit = trials[0].experiment.units.length
     figures: list[Figure] = []
@@ -398,9 +405,10 @@ DEADLINE_MISSES = total(
 
 
 def _lag_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the lag of the wheels that the controller estimated in a trial.
+    """Return the lag of the wheels that the controller estimated [s], as {"wheel_lag_s": lag}.
 
-    None if it does not estimate the lag.
+    The lag is None if the controller does not estimate it. The result is empty for robots without
+    wheels.
     """
     on_wheels = trial.experiment.setup.on_wheels
     return {"wheel_lag_s": trial.result.wheel_lag_s} if on_wheels else {}
@@ -430,7 +438,10 @@ WHEEL_LAG = Statistic(_mean_lag, _lag_columns)
 
 
 def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return in how many trials a robot turned differently than in the other trials."""
+    """Return a figure of how many trials have a robot that turned differently than in the others.
+
+    If too few trials are known, the figure is not shown, and its JSON value is None.
+    """
     label = "less certain"
     key = "less_certain"
     turns = list(turns_of(trials))

@@ -71,7 +71,10 @@ class BatchStatistics(Shown):
 
     @property
     def counted(self) -> int:
-        """The number of trials that count in the means, because they are complete."""
+        """The number of trials that count in the means.
+
+        They are complete, their errors are known, and their logs are intact.
+        """
         return self.total.n
 
     @property
@@ -180,12 +183,15 @@ class Contrast(Shown):
 
     @property
     def no_controller(self) -> bool:
-        """Whether the directions of one batch or of both were given."""
+        """Whether the directions of at least one batch were given, instead of chosen."""
         return self.first.experiment.directions_given or self.second.experiment.directions_given
 
     @property
     def reason(self) -> str | None:
-        """Why there is no verdict on the two batches. None if there is one."""
+        """Why there is no verdict on the two batches.
+
+        None if there is one. The first reason is given.
+        """
         if not self.same_origin:
             return "the plants differ"
         if self.no_controller:
@@ -218,7 +224,11 @@ class Contrast(Shown):
 
     @property
     def intervals(self) -> tuple[Interval, ...]:
-        """The intervals of the difference on which the verdict is based."""
+        """The intervals of the difference on which the verdict is based.
+
+        For paired trials, this is one interval. Otherwise, there are two: the one of Welch's test,
+        and the one computed from the intervals of both means.
+        """
         if self.pairs:
             return (self.difference.ci95,)
         return (self.difference.ci95, self.from_both_means)
@@ -309,7 +319,11 @@ def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
 
 
 def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
-    """Compare two batches. The p-values are not yet corrected for several comparisons."""
+    """Compare two batches: the difference is the mean of the first minus the mean of the second.
+
+    The p-values are not yet corrected for several comparisons. They are NaN if the batches are not
+    tested.
+    """
     ours = first.total
     theirs = second.total
     paired, why_unpaired = pair_up(first, second)
@@ -366,7 +380,7 @@ def _world(group: BatchStatistics) -> dict[str, object]:
 
 
 def _errors_by_trial(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
-    """Return the total error of each counted trial by the trial's seed and number."""
+    """Return the total error of each counted trial, keyed by (seed, number of the trial)."""
     return {
         (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
     }

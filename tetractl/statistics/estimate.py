@@ -53,18 +53,21 @@ class Interval:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def text(self, show: Callable[[float], str]) -> str:
-        """Return both ends, each formatted by `show`, or the reason why there is no interval."""
+        """Return both ends, each formatted by `show`, as "LOW to HIGH".
+
+        If there is no interval, return the reason or, without a reason, "-".
+        """
         if self.known:
             return f"{show(self.low)} to {show(self.high)}"
         return f"none: {self.reason}" if self.reason else NONE
 
     @property
     def bounds(self) -> list[float] | None:
-        """Both ends for JSON, None if there is no interval."""
+        """Both ends for JSON, [low, high]. None if there is no interval."""
         return [self.low, self.high] if self.known else None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the confidence interval as items of JSON."""
+        """Return the interval as items of JSON. The ends are None if there is no interval."""
         return {"ci95": self.bounds, "ci95_method": self.method, "ci95_reason": self.reason}
 
 
@@ -96,14 +99,20 @@ class Tail:
         return f"errors above {'error_bound' if self.stated else f'{FAR} times the median'}"
 
     def text(self, unit: str = "") -> str:
-        """Return a text such as "2 of 100 above 85.0 mm (95 % interval 1 to 7 %)"."""
+        """Return a text such as "2 of 100 above 85.0 mm (95 % interval 1 to 7 %)".
+
+        The text is "-" if there is no bound.
+        """
         if not math.isfinite(self.bound):
             return NONE
         bound = f"{lengths(self.bound)(self.bound)} {unit}".strip()
         return f"{self.above} of {self.n} above {bound}{percent(self.ci95)}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fraction of rare large values as items of JSON."""
+        """Return the number of rare large values as items of JSON.
+
+        The number is None and the bound is NaN if there is no bound.
+        """
         return {
             "bound": self.bound,
             "stated": self.stated,
@@ -139,7 +148,7 @@ class Distribution:
     tail: Tail
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the distribution of values as items of JSON."""
+        """Return the distribution of values as items of JSON. Unknown numbers remain NaN."""
         return {
             "n": self.n,
             "mean": self.mean,
@@ -206,7 +215,10 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
 
 def _tail(values: Floats, median: float, bound: float | None) -> Tail:
-    """Count the values (n,) above `bound` or, if it is None, above FAR times the median."""
+    """Count the values (n,) above `bound` or, if it is None, above FAR times the median.
+
+    If that limit is not positive or is NaN, nothing is counted and the tail's bound is NaN.
+    """
     limit = FAR * median if bound is None else bound
     n = len(values)
     if not limit > 0:
@@ -313,7 +325,7 @@ def proportion_interval(successes: int, n: int) -> Interval:
 
 
 def percent(fraction: Interval) -> str:
-    """Format the interval of a fraction in brackets. Return "" if there is none."""
+    """Format the interval of a fraction in percent and in brackets. Return "" if there is none."""
     if not fraction.known:
         return ""
     return f" (95 % interval {100 * fraction.low:.0f} to {100 * fraction.high:.0f} %)"
@@ -359,7 +371,7 @@ class ArmErrors:
 
 
 def numeric(arms: Iterable[ArmErrors]) -> bool:
-    """Check whether all values of a swept field are numbers."""
+    """Check whether all values of a swept field are numbers. True and False are not numbers."""
     return all(
         isinstance(arm.value, int | float) and not isinstance(arm.value, bool) for arm in arms
     )

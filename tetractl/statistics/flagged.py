@@ -107,7 +107,10 @@ def flagged(batch: Batch) -> list[Flagged]:
 
 
 def trial_notes(trial: ResultSummary) -> list[str]:
-    """Return the reasons to flag a trial that follow from this trial alone."""
+    """Return the reasons to flag a trial that follow from this trial alone.
+
+    Empty if there are none.
+    """
     result = trial.result
     notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
     lost = sum(result.lost)
@@ -167,7 +170,10 @@ class TrialTurn:
 
 
 def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
-    """Yield how each robot turned in each trial, if its rate is known in enough trials."""
+    """Yield how each robot turned in each trial, robot by robot.
+
+    A robot is left out if its rate is known in fewer than TRIALS_MIN trials.
+    """
     for i, robot, compared in _measured(trials):
         n = len(compared)
         if n < TRIALS_MIN:
@@ -188,7 +194,10 @@ def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
 def _measured(
     trials: Sequence[ResultSummary],
 ) -> Iterator[tuple[int, str, list[ResultSummary]]]:
-    """Yield the index and name of each robot, and the trials in which its rate is known."""
+    """Yield the index and name of each robot, and the trials in which its turning rate is known.
+
+    All robots are yielded, even if their list of trials is empty.
+    """
     measured = [trial for trial in trials if trial.result.verdict.turn]
     for i, robot in enumerate(trials[0].experiment.setup.names if trials else ()):
         known = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
@@ -219,7 +228,10 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Describe the robots that turned differently than in their other trials, by log."""
+    """Describe the robots that turned differently than in their other trials, as {log: texts}.
+
+    Logs without such a robot are left out.
+    """
     texts = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
         if turn.unusual:

@@ -143,7 +143,10 @@ def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
 
 
 def _reach(values: Distribution) -> tuple[float, float]:
-    """Return the distances from the mean to its interval's bounds. 0 if all values are equal."""
+    """Return the distances from the mean down and up to the ends of its interval.
+
+    Both are 0 if all values are equal, and NaN if there is no interval.
+    """
     if values.n > 1 and values.std == 0:
         return 0.0, 0.0
     return values.mean - values.ci95.low, values.ci95.high - values.mean

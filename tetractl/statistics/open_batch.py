@@ -58,7 +58,11 @@ class Batch(Shown):
     def from_results(
         cls, results: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()
     ) -> "Batch":
-        """Create a batch from results of trials, with earlier attempts separated."""
+        """Create a batch from results of trials, with earlier attempts separated.
+
+        A result is an attempt if its log was set aside, or if it is incomplete and another result
+        of the same trial is complete. The order of the results is kept.
+        """
         results = list(results)
         complete = {_key(trial) for trial in results if trial.outcome.complete}
         trials: list[ResultSummary] = []
@@ -77,12 +81,12 @@ class Batch(Shown):
 
     @property
     def logs(self) -> list[Path]:
-        """The paths of the logs, one for each trial in the batch."""
+        """The paths of the logs, one for each trial. Attempts and unreadable logs are left out."""
         return [Path(trial.log) for trial in self.trials]
 
     @property
     def lost(self) -> tuple[Damaged, ...]:
-        """The damaged logs whose trials are missing in the batch."""
+        """The unreadable logs whose trials are missing in the batch. Attempts are left out."""
         return tuple(log for log in self.damaged if not log.set_aside)
 
     @property
@@ -110,7 +114,7 @@ def counts(trial: ResultSummary) -> bool:
 
 
 def errors_known(trial: ResultSummary) -> bool:
-    """Check whether a trial is complete and its errors are known."""
+    """Check whether a trial is complete, and its total error and all robots' errors are finite."""
     errors = (trial.result.total_error, *trial.result.robot_errors)
     return trial.outcome.complete and all(map(math.isfinite, errors))
 
@@ -139,7 +143,10 @@ class Source:
         return cls(name, logs)
 
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
-        """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
+        """Read every result. A log that cannot be read is listed in the batch as damaged.
+
+        `on_log` is called after each log with the number of logs read and the number of all logs.
+        """
         trials: list[ResultSummary] = []
         damaged: list[Damaged] = []
         for done, log in enumerate(self.logs, start=1):
@@ -153,7 +160,9 @@ class Source:
 
 
 def open_batch(paths: Sequence[Path | str]) -> Batch:
-    """Read the results of the logs in files, folders and patterns.
+    """Read the results of the logs in files, folders and patterns, including earlier attempts.
+
+    A log that cannot be read is listed in the batch as damaged.
 
     Raises:
         UsageError: If a path holds no trial.
@@ -233,7 +242,7 @@ def experiment_of(batch: Batch) -> Experiment:
 
 
 def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
-    """Raise UsageError if two trials have different plants or experiments."""
+    """Raise UsageError if two trials come from different kinds of plants or experiments."""
     if second.origin is not first.origin:
         raise UsageError(
             f"{first.log} comes from the {first.origin}, but {second.log} from the {second.origin}",
@@ -252,7 +261,11 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
 
 
 def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
-    """Check that no trial occurs twice. UsageError is raised if one does."""
+    """Raise UsageError if a trial occurs twice.
+
+    Two simulated trials are the same if their experiment's seed and number are equal. Two trials of
+    a lab are the same only if their logs have the same content.
+    """
     trials_by_key: dict[object, ResultSummary] = {}
     for trial in trials:
         # Two trials in the lab may have the same number and seed, and are different trials.
@@ -285,7 +298,10 @@ def differences(ours: Experiment, theirs: Experiment) -> list[str]:
 
 
 def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
-    """Yield the differences between two values at a path of a spec."""
+    """Yield each field in which two values at a path of a spec differ, as "PATH: OURS != THEIRS".
+
+    If lists or mappings cannot be compared entry by entry, only the path is yielded.
+    """
     if ours == theirs:
         return
     both_lists = isinstance(ours, list) and isinstance(theirs, list)
@@ -303,5 +319,5 @@ def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
 
 
 def _as_text(value: Any) -> str:
-    """Format a single value as in JSON, but a text without quotes."""
+    """Format a single value as in JSON, but a string without quotes."""
     return value if isinstance(value, str) else json.dumps(value)

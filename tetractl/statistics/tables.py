@@ -161,7 +161,10 @@ def _tail(group: BatchStatistics) -> Figure:
 
 
 def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
-    """Describe the difference of a batch's mean error from the published mean error."""
+    """Describe the difference of a batch's mean error from the published mean error.
+
+    A batch that does not come from real robots is not compared.
+    """
     if not group.origin.comparable:
         return f"{NONE} (not real robots)"
     text = difference.text(group.unit, lengths(difference.value), difference.p_value)
@@ -172,7 +175,10 @@ def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
 
 
 def tables(comparison: BatchComparison) -> list[Table]:
-    """Return every table: errors, how the trials ended, comparisons, flagged trials."""
+    """Return every table: errors, how the trials ended, comparisons, flagged trials.
+
+    Tables without a row are left out.
+    """
     groups = comparison.groups
     parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
     trials = [_trials(part, alone=len(groups) == 1) for part in parts]
@@ -188,7 +194,10 @@ def tables(comparison: BatchComparison) -> list[Table]:
 
 
 def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
-    """Return a table about trials: a row for each statistic, and a column for each batch."""
+    """Return a table about trials: a row for each statistic, and a column for each batch.
+
+    An entry is None if the batch does not have the statistic.
+    """
     texts = [texts_by_label(group) for group in groups]
     labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
     columns = [Column("figure", labels)]
@@ -199,7 +208,10 @@ def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
 
 
 def _flagged(groups: Sequence[BatchStatistics]) -> Table:
-    """Return the table of flagged logs, the first ones if there are many."""
+    """Return the table of flagged logs.
+
+    It lists at most LISTED_MAX of them. A last row has the number of the others.
+    """
     logs = [log for group in groups for log in flagged(group.batch)]
     rows = [(log.log, log.outcome, ", ".join(log.notes)) for log in logs[:LISTED_MAX]]
     if len(logs) > LISTED_MAX:
@@ -290,7 +302,7 @@ def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distri
 
 
 def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
-    """Return the total error of each batch, followed by the published ones."""
+    """Return the named total error of each batch, followed by the published errors."""
     if len(groups) == 1:
         return [("total", groups[0].total), *_published(groups)]
     return [*((group.name, group.total) for group in groups), *_published(groups)]
@@ -377,7 +389,10 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
 
 
 def trials_listed(group: BatchStatistics) -> Table:
-    """Return the table of a batch's trials: the log of each, its error and outcome."""
+    """Return the table of a batch's trials with log, error, duration, steps, safety and outcome.
+
+    Earlier attempts and unreadable logs are left out.
+    """
     trials = group.batch.trials
     show = lengths(group.total.mean)
     outcomes = dict.fromkeys(trial.outcome for trial in trials)

@@ -121,9 +121,10 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
 
 
 def _number_columns(steps: Sequence[ControllerStep]) -> dict[str, list[float | None]]:
-    """Return a column for each name of the controller's numbers.
+    """Return a column for each name of the controller's numbers, as {plan_NAME: values}.
 
-    None where a step has no number with this name.
+    The value is None at a step without a number of this name. There may be at most NUMBERS_MAX
+    names, otherwise ValueError is raised.
     """
     numbers = [{number.name: number.value for number in step.numbers} for step in steps]
     names = dict.fromkeys(name for of_step in numbers for name in of_step)

@@ -61,9 +61,10 @@ def _wanted() -> Path | None:
 
 
 def claim(folder: Path) -> str | None:
-    """Create a folder that only this user can write to.
+    """Create a folder that only this user can write to, or take over one that exists.
 
-    Return the reason if that fails, or None.
+    Return None if it can be used, otherwise the reason why not. An existing folder that others can
+    read loses their permissions.
     """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -117,7 +118,10 @@ def read_own(file: Path) -> bytes:
 
 
 def _alone_in(group: int) -> bool:
-    """Check whether the user is the only member of a group."""
+    """Check whether the user is the only member of a group.
+
+    False if the user or group is unknown.
+    """
     import grp
     import pwd
 
@@ -141,7 +145,10 @@ def compiler_settings() -> str:
 
 @functools.cache
 def say_once(text: str) -> None:
-    """Print a note to stderr once per run, and not in the worker processes of a batch."""
+    """Print a note to stderr, unless this process has printed the same note before.
+
+    The worker processes of a batch print nothing.
+    """
     if multiprocessing.parent_process() is None:
         with suppress(OSError, ValueError):  # stderr may be closed
             print(f"note: {text}", file=sys.stderr)
@@ -149,7 +156,10 @@ def say_once(text: str) -> None:
 
 @functools.cache
 def file_digest(source: Path) -> bytes:
-    """Return the SHA-256 of a file, which is read once in a process."""
+    """Return the SHA-256 of a file, which is read once in a process.
+
+    Later changes are not noticed.
+    """
     return hashlib.sha256(source.read_bytes()).digest()
 
 

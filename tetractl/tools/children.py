@@ -71,7 +71,7 @@ class Child:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the child process, and close its pipes."""
+        """Kill the child process if it still runs, and close its pipes."""
         self.kill()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
@@ -103,7 +103,10 @@ class Child:
         return self._process.wait()
 
     def kill(self) -> None:
-        """End the child process at once. This method can be called twice."""
+        """Kill the child process with SIGKILL, and wait until it is gone.
+
+        Nothing happens if it has ended before.
+        """
         self._process.kill()
         self._process.wait()
 
@@ -148,6 +151,9 @@ def open_in_browser(address: str) -> bool:
 
 
 def shown_lines(output: bytes) -> list[str]:
-    """Split an output into non-empty lines, each made printable and cut to SHOWN_LINE_MAX."""
+    """Split an output into non-empty lines, each made printable and cut to SHOWN_LINE_MAX letters.
+
+    Bytes that are not UTF-8 are replaced.
+    """
     lines = output.decode(errors="replace").splitlines()
     return [printable(line, SHOWN_LINE_MAX) for line in lines if line.strip()]

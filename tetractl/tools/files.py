@@ -24,9 +24,11 @@ def make_folder(folder: Path) -> None:
 
 
 def save_whole(path: Path, data: bytes) -> None:
-    """Write a file completely or not at all.
+    """Write a file completely or not at all, in place of an existing one.
 
-    Raises UsageError if its folder is missing, LogError if it cannot be written.
+    Raises:
+        UsageError: If its folder is missing.
+        LogError: If it cannot be written.
     """
     part = path.with_name(path.name + ".part")
     try:

@@ -44,7 +44,10 @@ def newton_step(
     """
 
     def score(changes: Floats) -> Floats:
-        """Return ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters."""
+        """Return ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters.
+
+        Where it is not finite, it is UNLIKELY.
+        """
         tried = parameters[:, None] + changes
         scores = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
         return np.where(np.isfinite(scores), scores, UNLIKELY)

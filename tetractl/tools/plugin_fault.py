@@ -77,7 +77,10 @@ def naming_plugins(error: BaseException, packages: Mapping[str, str]) -> PluginT
 
 
 def _of_computer(error: BaseException) -> bool:
-    """Check whether an error comes from the computer or its system, whichever code it occurs in."""
+    """Check whether an error comes from the computer or its system instead of from the code.
+
+    Examples are a full disk, and output that nobody reads.
+    """
     match error:
         case SystemExit(__context__=BrokenPipeError()):
             return True  # of rich, whose output has no reader any more
@@ -91,7 +94,7 @@ def _of_computer(error: BaseException) -> bool:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Check whether nobody reads an output stream any more."""
+    """Check whether nobody reads an output stream any more, by flushing it."""
     try:
         stream.flush()
     except BrokenPipeError:

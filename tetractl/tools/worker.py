@@ -78,7 +78,11 @@ class Worker:
         self._thread.start()
 
     def put(self, call: Callable[..., object], *args: object) -> None:
-        """Queue the call `call(*args)`, which the thread of this worker will make."""
+        """Queue the call `call(*args)`, which the thread of this worker will make.
+
+        If the queue is full, this waits up to `wait_s` and then fails with `too_slow`. After a
+        failure, which is raised once, further calls are dropped.
+        """
         self.check()
         if self.failure is None:
             place = self._places.acquire(blocking=False)
@@ -92,13 +96,19 @@ class Worker:
                 self.check()
 
     def drain(self) -> None:
-        """Wait until the worker's thread has done every call so far."""
+        """Wait until the worker's thread has done every call so far.
+
+        A failure is raised if it was not raised before.
+        """
         self.check()
         self.wait()
         self.check()
 
     def wait(self) -> None:
-        """Wait until every call so far is done, but leave an error to the next call."""
+        """Wait until every call so far is done, at most `patience_s`.
+
+        Nothing is raised: an error is left to the next call.
+        """
         if self.failure is None:
             done = threading.Event()
             self._calls.put(done.set)

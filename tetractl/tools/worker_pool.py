@@ -62,7 +62,7 @@ def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
 
 
 def copying_context() -> BaseContext:
-    """Create a context that starts workers as copies of this process."""
+    """Create a context that starts workers as copies of this process, by `fork`."""
     return multiprocessing.get_context("fork")
 
 

@@ -24,7 +24,7 @@ class Difference:
     message: str
 
     def in_step(self, step: int | None) -> "Difference":
-        """Return the difference with the number of its control step."""
+        """Return a copy of the difference that states this control step, or no step for None."""
         return replace(self, step=step)
 
     def __str__(self) -> str:
@@ -52,7 +52,11 @@ class Tolerance:
     absolute: float = 0.0
 
     def differs(self, ours: NDArray[Any], logged: NDArray[Any]) -> NDArray[np.bool_]:
-        """Find the elements in which two arrays of the same shape differ."""
+        """Find the elements in which two arrays of the same shape differ, as a mask of this shape.
+
+        NaN equals NaN, and infinity only equals itself. If both tolerances are 0, all bits must be
+        equal. Arrays that are not of 64-bit floats must be equal.
+        """
         if ours.dtype != np.float64 or logged.dtype != np.float64:
             return np.asarray(ours != logged)
         both_nan = np.isnan(ours) & np.isnan(logged)
@@ -119,9 +123,9 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
 
 
 def _parts(record: Any) -> Mapping[Any, Any] | None:
-    """Return the parts of a record that count in a comparison, keyed by name or number.
+    """Return the parts of a record that count in a comparison, keyed by name or index.
 
-    None for a single value or an array.
+    Fields of a message that are not set are left out. None for a single value or an array.
     """
     if is_dataclass(record):
         compared = [field.name for field in fields(record) if field.compare]
@@ -145,7 +149,10 @@ def _kind(record: Any) -> str:
 def _value_difference(
     ours: Any, logged: Any, tolerance: Tolerance, name: str
 ) -> Iterator[Difference]:
-    """Yield the difference of two arrays, numbers, texts or other single values."""
+    """Yield the difference of two arrays, numbers, texts or other single values. Nothing if equal.
+
+    The tolerance applies to arrays and floats. All other values must be equal.
+    """
     if isinstance(ours, np.ndarray) != isinstance(logged, np.ndarray):
         kinds = f"logged {type(logged).__name__}, computed {type(ours).__name__}"
         yield Difference(None, name, kinds)

@@ -59,14 +59,17 @@ class LogEvent:
 
 
 def events_of(log: TrialLog) -> list[LogEvent]:
-    """List the frames and commands of a log in the order in which they reached the guard."""
+    """List the frames and commands of a log in the order in which they reached the guard.
+
+    If a frame and a command have the same time, the frame comes first.
+    """
     events = [LogEvent(int(t_ns), False, i) for i, t_ns in enumerate(log.received_ns)]
     events += [LogEvent(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
     return sorted(events)
 
 
 def camera_frame(log: TrialLog, row: int) -> CameraFrame:
-    """Build the camera frame of a row of the log, with the poses that were accepted."""
+    """Build the camera frame of a row of the log. Poses that were not accepted are None."""
     poses = tuple(
         Pose(*pose) if valid else None
         for pose, valid in zip(log.mocap[row].tolist(), log.valid[row], strict=True)
@@ -128,16 +131,19 @@ def limits_of(log: TrialLog) -> LabLimits:
 
 
 def _ticks(since_ns: int, until_ns: int) -> Iterator[int]:
-    """Yield the times of the guard's decisions between two events.
+    """Yield the times of the guard's decisions between two events [ns], the events' times excluded.
 
-    If nothing happened before, there are only a few.
+    Nothing is yielded if `since_ns` is 0, which means that there is no earlier event.
     """
     if since_ns:
         yield from range(since_ns + TICK_NS, until_ns, TICK_NS)
 
 
 def _note_action(observer: GuardObserver, command: Command) -> None:
-    """Pass the controller's decision to the observer."""
+    """Pass the controller's decision to the observer.
+
+    A stop ends the run. Any other action starts it, and only `Steer` counts as a direction.
+    """
     if isinstance(command.action, Stop):
         observer.end_run()
         return

@@ -40,7 +40,10 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
 
 
 def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | None:
-    """Return the first difference between the messages of a topic."""
+    """Return the first difference between the messages of a topic. None if all are equal.
+
+    A message that only one of the logs contains is a difference.
+    """
     pairs = zip_longest(again.by_topic[topic], log.by_topic[topic])
     for number, (ours, logged) in enumerate(pairs):
         if ours != logged:

@@ -360,10 +360,11 @@ class StepSearches:
         return CheckedController(log.experiment.controller, log.start.setup, key, host)
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Take the logged searches of the next control step, which `search` answers from.
+        """Take the logged searches of another control step, from which `search` answers.
 
-        Plans that the controller was given, rather than searched for, are left out. Nothing is
-        contradicted or requested yet."""
+        The earlier step is forgotten. Searches for given directions are left out, because given
+        signals need no search. No contradiction has been found and nothing has been requested yet.
+        """
         self._to_come = [
             (index, search)
             for index, search in enumerate(searches)
@@ -395,7 +396,8 @@ class StepSearches:
     def _run_again(self, request: SearchRequest, logged: Search) -> Search:
         """Run a logged search again.
 
-        If the deadline ended it, it is ended after its logged number of evaluations.
+        If the deadline ended it, it is ended after its logged number of evaluations. TooLongError
+        is raised if this exceeds the time limit.
         """
         if not self._is_compiled:
             least = Limits(request.optimizer.evaluations_min)
@@ -449,7 +451,10 @@ class _Repeated:
 
 
 def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterator[Difference]:
-    """Yield each way in which a logged search contradicts its problem or its optimiser."""
+    """Yield each way in which a logged search contradicts its problem or its optimiser.
+
+    If the number of signals is wrong, nothing else is checked.
+    """
     if logged.length != request.length:
         yield Difference(None, f"{name}.length", f"{logged.length}, not {request.length}")
         return

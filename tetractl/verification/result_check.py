@@ -105,7 +105,11 @@ def _places(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Yield how the turning of a lab's robots in the result contradicts commands and frames."""
+    """Yield how the robots' turning rates in a lab's result contradict the commands and frames.
+
+    Rates are compared within TURN_ERRORS standard errors, and the standard errors within
+    TURN_STD_SHARE.
+    """
     verdict = result.verdict
     rates, errors = _turning(log)
     if len(rates) != len(verdict.turn):

@@ -35,7 +35,10 @@ class Recorder(RecordSink):
         self._until_s = until_s
 
     def add(self, record: Record) -> None:
-        """Keep a record of the trial that is run again."""
+        """Keep a record of the trial that is run again.
+
+        The first record after the time limit sets `late`, and requests that the trial ends.
+        """
         self.records.append(record)
         if computing_s() > self._until_s and not self.late:
             self.late = True
@@ -62,7 +65,11 @@ def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
 
 
 def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Run the trial of a log again, and yield the differences between the records."""
+    """Run the trial of a log again, and yield the differences between the records.
+
+    If the plant cannot be simulated again, that is the only difference. If the trial takes too
+    long, one `Unchecked` is yielded and nothing is compared.
+    """
     sink = Recorder(computing_s() + 2 * limits.seconds_limit())
     try:
         with ready_trial(log.spec, log.start.trial, [Encoder(sink)], sink.interrupt) as again:

@@ -89,7 +89,10 @@ class Verification(Shown):
 
     @property
     def ok(self) -> bool:
-        """Whether the log was checked to its end, and no problem was found."""
+        """Whether the log was checked to its end, and no problem was found.
+
+        Notes are not problems.
+        """
         return not (self.problems or self.unchecked)
 
     @property
@@ -178,7 +181,10 @@ def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recom
 
 
 def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
-    """Choose how the end of a trial is checked: by the first row of EndCheck that applies."""
+    """Choose how the end of a trial is checked: by the first row of EndCheck that applies.
+
+    `why_not_again` is the reason why a simulation cannot be run again, or "" if it can.
+    """
     is_simulated = log.start.plant.simulated
     is_disputed = is_simulated != log.experiment.plant.simulated
     if is_disputed or log.damage is not None or log.result is None:
@@ -187,7 +193,10 @@ def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
 
 
 def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield how the end of a trial differs when it is repeated."""
+    """Yield each contradiction in the end of a trial, found by the given check.
+
+    Nothing is yielded for NOTHING, or if the log has no result.
+    """
     result = log.result
     if check is EndCheck.NOTHING or result is None:
         return
@@ -264,7 +273,10 @@ def _may_lose_frames(log: TrialLog) -> bool:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """List the differences between the log's computer and this one that may change results."""
+    """List the differences between the log's computer and this one that may change results.
+
+    They concern the processor, versions and the packages of the spec. Empty if nothing differs.
+    """
     used = provenance.plugins(packages(log.experiment))
     these_facts = {**provenance.host(), **provenance.versions(), **used}
     return tuple(

@@ -183,7 +183,10 @@ class KernelCache:
         return str(self._place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the compiled code for a signature. None if there is none or it is damaged."""
+        """Load the compiled code for a signature from this cache, or else from the shipped code.
+
+        None if neither has it, or if it is damaged.
+        """
         target_context.refresh()
         system = target_context.codegen().magic_tuple()
         own = self._load(self._place, self._key(sig, system), target_context)
@@ -212,7 +215,11 @@ class KernelCache:
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the code that was compiled for one combination of argument types."""
+        """Store the code that was compiled for one combination of argument types.
+
+        Nothing is stored if there is no folder. If writing fails, a note is printed and nothing is
+        raised.
+        """
         internals = _internals()
         if self._place is None or internals is None:
             return

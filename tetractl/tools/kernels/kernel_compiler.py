@@ -88,7 +88,10 @@ class KernelCompiler(Compiler):
 
 
 def _use_library(state: Any, library: type[Any]) -> None:
-    """Store a function's code in a new library of the given class."""
+    """Store a function's code in a new library of the given class.
+
+    This does nothing if the function has a library, or if Numba lacks the classes that it replaces.
+    """
     if _IS_REPLACED and state.library is None:
         state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()  # so that a kernel can be stored

@@ -60,7 +60,10 @@ def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> Functi
 
 @cache
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a plain function of scalars together with the plain functions that it calls."""
+    """Compile a plain function of scalars together with the plain functions that it calls.
+
+    The options are INLINE_FAST, so the last bits of a result may differ from Python's.
+    """
     return njit(**INLINE_FAST)(with_parts(function, inlined))
 
 
@@ -72,15 +75,19 @@ def exact(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @cache
 def one_of(size: int) -> Callable[..., Any]:
-    """Return a compiled function that selects one of two tuples by a condition.
+    """Return a compiled function (first, one, other) that selects one of two tuples by a condition.
 
-    Vector code needs it in this form.
+    Both have the length `size`. It returns `one` if `first` is true, otherwise `other`. Vector code
+    needs it in this form.
     """
     items = "".join(f"one[{k}] if first else other[{k}], " for k in range(size))
     return njit(**INLINE_FAST)(eval(f"lambda first, one, other: ({items})"))
 
 
 def entries(size: int) -> Callable[..., Any]:
-    """Return a compiled function that returns the first `size` entries of a row as a tuple."""
+    """Return a compiled function that returns the first `size` entries of a row as a tuple.
+
+    The row must have at least that many entries, because this is not checked.
+    """
     items = "".join(f"row[{k}], " for k in range(size))
     return njit(**INLINE_FAST)(eval(f"lambda row: ({items})"))  # numba knows no shorter way

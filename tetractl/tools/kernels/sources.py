@@ -37,7 +37,10 @@ Named = list[tuple[str, Any]]
 
 
 def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named]]:
-    """Yield a plain function and all functions compiled into it, with the names they use."""
+    """Yield a plain function and all functions compiled into it, with the names they use.
+
+    Each function occurs once.
+    """
     visited = set[FunctionType]()
     to_visit = [function]
     while to_visit:
@@ -54,7 +57,10 @@ def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of everything outside a function that its code refers to."""
+    """Yield the name and the value of everything outside a function that its code refers to.
+
+    Built-in names are left out.
+    """
     held = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     yield from ((name, cell.cell_contents) for name, cell in held)
     names = sorted(_names(function.__code__))
@@ -67,9 +73,9 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _frozen(value: Any) -> str:
-    """Return the text of a constant whose value becomes part of the compiled code.
+    """Return a text that identifies the value of a constant in compiled code.
 
-    Empty otherwise.
+    It is empty for anything but numbers, strings, tuples and arrays.
     """
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
@@ -94,9 +100,9 @@ def _classes(kinds: Iterable[Any]) -> Iterator[type[Any]]:
 
 @cache
 def _module_files(name: str) -> frozenset[Path]:
-    """Return the files of a module's package folder.
+    """Return the Python files in the folder of a module's package, without subfolders.
 
-    If it is in no package, return its own file.
+    If it is in no package, return only its own file, and nothing for a built-in module.
     """
     origin = sys.modules[name].__file__
     if origin is None:

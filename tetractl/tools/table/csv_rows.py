@@ -63,9 +63,10 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
 
 
 def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the non-empty lines of a CSV file with their numbers.
+    """Yield the non-empty lines of a CSV file with their numbers, which start at 1.
 
-    It raises UsageError in the same cases as `read_csv`.
+    Raises:
+        UsageError: In the same cases as `read_csv`.
     """
     if not path.is_file():
         said = "is not a regular file" if path.exists() else "no such file"
@@ -83,7 +84,11 @@ def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def columns_of(path: Path) -> tuple[str, ...]:
-    """Return the column names of a CSV file. Empty if the file has no row below the header."""
+    """Return the column names of a CSV file. Empty if the file has no row below the header.
+
+    Raises:
+        UsageError: In the same cases as `read_csv`.
+    """
     first = next(read_csv(path), None)
     return () if first is None else tuple(first.cells)
 
@@ -94,7 +99,7 @@ def _too_large(path: Path) -> UsageError:
 
 
 def _refuse_archive(path: Path) -> None:
-    """Check that a file is not compressed. UsageError is raised if it is."""
+    """Raise UsageError if a file is compressed, as its first two bytes show."""
     with path.open("rb") as file:
         form = ARCHIVES.get(file.read(2))
     if form is not None:
@@ -105,7 +110,10 @@ def _refuse_archive(path: Path) -> None:
 
 
 def _encoding(path: Path) -> str:
-    """Find the encoding of a file from its first bytes, or by trying to decode it."""
+    """Return the name of a file's encoding: "utf-16" if its first bytes say so, or "utf-8-sig".
+
+    If the file is not valid UTF-8, the result is "cp1252".
+    """
     decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as file:
         if file.read(2) in UTF_16:
@@ -121,7 +129,11 @@ def _encoding(path: Path) -> str:
 
 
 def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
-    """Yield the non-empty lines of a file, with their numbers."""
+    """Yield the non-empty lines of a file, with their numbers, which start at 1.
+
+    Raises:
+        UsageError: If the file or a line is too large, or has a null character.
+    """
     for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), ""), 1):
         if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
             raise _too_large(path)
@@ -192,7 +204,7 @@ def _below_titles(
 
 
 def _most_entries(line: str) -> list[str]:
-    """Split a line by the separator that gives the most entries."""
+    """Split a line by the separator that gives the most entries, the first one if several do."""
     text = line.rstrip().lstrip(" ")
     return max((csv_entries(text, separator) for separator in SEPARATORS), key=len)
 
@@ -212,9 +224,10 @@ def _separator(header: str, row: str) -> str:
 
 
 def csv_entries(line: str, separator: str) -> list[str]:
-    """Split a line into its entries.
+    """Split a line into its entries, without blanks around them.
 
-    A quoted entry with line breaks ends at the end of the line.
+    If the separator is neither a comma nor blanks, a decimal comma becomes a point. A quoted entry
+    with line breaks ends at the end of the line.
     """
     if separator == BLANKS:
         return line.split()
@@ -257,7 +270,11 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 
 def _cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict[str, str]:
-    """Return the entries of a row of a table, by column."""
+    """Return the entries of a row of a table, by column. Missing entries are "".
+
+    Columns without a name are left out. If there are more entries than columns, UsageError is
+    raised.
+    """
     if any(entries[len(header) :]):
         raise UsageError(
             f"{path}, line {line}: this line has {len(entries)} entries, but the header has "

@@ -99,7 +99,7 @@ class NumberColumn:
     largest: float = NUMBER_MAX
 
     def number(self, path: Path, row: CsvRow) -> float:
-        """Return the number that this column has in a row.
+        """Return the number that this column has in a row, converted to the wanted unit.
 
         Raises:
             UsageError: If it is missing, no number, or too large.
@@ -147,7 +147,7 @@ def name_and_unit(header: str) -> tuple[str, str]:
 
 
 def factor(unit: str, units: Mapping[str, float]) -> float | None:
-    """Return the factor of a unit, in any spelling. None if it is not one of these units."""
+    """Return the factor of a unit, in any spelling. None if `units` does not contain the unit."""
     text = unit.strip().lower()
     return units.get(SPELLINGS.get(text, text))
 
@@ -183,7 +183,11 @@ def find_column(
 
 
 def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
-    """Return the column of times, to be read in seconds. None if there is none."""
+    """Return the column of times, whose numbers are converted to seconds. None if there is none.
+
+    Raises:
+        UsageError: If the column states another unit, or none.
+    """
     return find_column(path, headers, TIME_NAMES, SECONDS)
 
 

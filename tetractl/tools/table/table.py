@@ -12,7 +12,7 @@ LISTED = 4
 
 
 def fixed(decimals: int) -> Callable[[float], str]:
-    """Create a format of numbers with a fixed number of decimals."""
+    """Create a format of numbers with a fixed number of decimals. Unknown numbers become "-"."""
 
     def show(value: float | None) -> str:
         return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
@@ -43,12 +43,12 @@ def digits(value: float) -> str:
 
 
 def plural(noun: str, count: int) -> str:
-    """Return a regular noun in the form that follows a count."""
+    """Return a noun in the form that follows a count: with an "s", unless the count is 1."""
     return noun if count == 1 else f"{noun}s"
 
 
 def listing(texts: Sequence[str], between: str = ", ") -> str:
-    """Join the first texts into one line, followed by the number of the remaining ones."""
+    """Join at most LISTED texts into one line, followed by the number of the remaining ones."""
     joined = between.join(texts[:LISTED])
     more = len(texts) - LISTED
     return f"{joined} and {more} more" if more > 0 else joined
@@ -62,7 +62,7 @@ def p_value(p: float) -> str:
 
 
 def as_text(value: Any) -> str:
-    """Return a value as text; "-" if it is unknown."""
+    """Return a value as text. None and NaN become "-"."""
     return NONE if value is None or value != value else str(value)
 
 
@@ -146,7 +146,8 @@ class Table:
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
         """Create a table from records, with one row for each.
 
-        If a record lacks a key, its value is unknown.
+        Columns are in the order in which their keys first occur. If a record lacks a key, its value
+        is None.
         """
         keys = dict.fromkeys(key for record in records for key in record)
         columns = [Column(key, [record.get(key) for record in records]) for key in keys]
@@ -159,7 +160,7 @@ class Table:
 
     @property
     def rows(self) -> Iterator[tuple[str, ...]]:
-        """The rows of the table, as formatted texts."""
+        """The rows of the table, as formatted texts, without the header."""
         return zip(*(column.texts for column in self.columns), strict=True)
 
     @property
@@ -176,5 +177,5 @@ class Table:
         return Table(self.title, (*first, *self.columns), self.note)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the values by column key, from which a data frame can be made."""
+        """Return {column key: values}, from which a data frame can be made."""
         return {column.key: column.values for column in self.columns}

@@ -30,7 +30,7 @@ AddRows = Callable[[str, Table, str], None]
 
 
 def csv_text(table: Table) -> str:
-    """Format a table as text in the CSV format."""
+    """Format a table as text in the CSV format, without its title and its note."""
     text = io.StringIO()
     _write_header(table, text)
     _write_rows(table, text)
@@ -49,7 +49,7 @@ def _write_rows(table: Table, stream: TextIO) -> None:
 
 
 def _cells(values: Sequence[Any]) -> list[str]:
-    """Format the values of a column as entries of a CSV file."""
+    """Format the values of a column as entries of a CSV file. None and NaN become empty entries."""
     from pydantic_core import to_json  # slow to import, and not needed by most commands
 
     def cell(value: Any) -> str:
@@ -128,7 +128,10 @@ class _GrowingFile:
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Create the file, and close it at the end of the `with` block."""
+        """Create the file under a temporary name, and close it at the end of the `with` block.
+
+        Its folder is created if it is missing.
+        """
         with self._writing():
             self._part.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._part.open("w", encoding="utf-8", newline="")
@@ -139,7 +142,12 @@ class _GrowingFile:
                 self._stream.close()
 
     def add(self, table: Table, source: str) -> None:
-        """Write rows. The first rows are preceded by the header."""
+        """Write the rows of a table. The first rows are preceded by the header.
+
+        Raises:
+            UsageError: If the columns differ from those of the first table. It names the `source`.
+            LogError: If the file cannot be written.
+        """
         assert self._stream is not None, "rows are added to an open file"
         keys = [column.key for column in table.columns]
         with self._writing():
@@ -156,7 +164,7 @@ class _GrowingFile:
             _write_rows(table, self._stream)
 
     def complete(self) -> None:
-        """Give the finished file its final name."""
+        """Give the finished file its final name, in place of an existing file."""
         with self._writing():
             self._part.replace(self._path)
 

@@ -132,7 +132,7 @@ def _drawn(table: Table, terminal: bool) -> "RichTable":
 
 
 def markdown(tables: Sequence[Table]) -> str:
-    """Format tables as text in Markdown."""
+    """Format tables as text in Markdown. The note of a table becomes a list below it."""
     parts = []
     for table in tables:
         first, *others = table.columns

@@ -52,7 +52,10 @@ def html(value: object) -> str:
 
 @singledispatch
 def shown(value: object) -> str:
-    """Return the HTML for a result, according to its type."""
+    """Return the HTML for a result, according to its type.
+
+    NotImplementedError for an unknown type.
+    """
     raise NotImplementedError(type(value))
 
 
@@ -150,7 +153,10 @@ def _(verification: Verification) -> str:
 
 
 def _output(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b"") -> str:
-    """Return HTML that consists of lines, an image and tables."""
+    """Return HTML that consists of lines, an image and tables.
+
+    With an image, there must be a line.
+    """
     picture = ""
     if png:
         source = f"data:image/png;base64,{b64encode(png).decode()}"
@@ -169,7 +175,7 @@ def _paths(trial: TrialLog) -> bytes:
 
 
 def _place(xy: Sequence[float]) -> str:
-    """Return a position as text."""
+    """Return a position as text with four digits, without a unit."""
     return ", ".join(f"{length:.4g}" for length in xy)
 
 

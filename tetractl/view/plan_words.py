@@ -16,5 +16,5 @@ def doing(plan: Plan) -> str:
 
 
 def search_end(search: Search) -> str:
-    """Describe in words why an optimiser's search ended."""
+    """Describe in words why an optimiser's search ended. "no search" for given signals."""
     return "no search" if search.stopped == StopReason.FIXED else str(search.stopped)

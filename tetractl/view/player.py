@@ -50,7 +50,10 @@ class Moment:
 
     @property
     def distances(self) -> Floats:
-        """Distance of each robot to its target, shape (N,). At the end, those of the result."""
+        """Distance of each robot to its target, shape (N,) [length unit].
+
+        At the end, these are the errors in the result.
+        """
         if self.result is not None:
             return np.array(self.result.robot_errors)
         return self.setup.distances(self.poses[:, :2])
@@ -205,7 +208,10 @@ class Player:
 
     @property
     def now(self) -> int:
-        """The time of the trial that the player shows [ns], within the span to play."""
+        """The time of the trial that the player shows [ns].
+
+        It is never later than the end of the span to play.
+        """
         passed_ns = 0
         if not self._paused:
             passed_ns = round(self.rate * (self._wall.now() - self._anchor_wall_ns))
@@ -213,7 +219,10 @@ class Player:
 
     @property
     def state(self) -> Playback:
-        """Whether the player plays, is paused, or has finished."""
+        """The state of the player.
+
+        At the end of the span, it is ENDED only once `update` has paused it.
+        """
         if self._quit:
             return Playback.QUIT
         if not self._paused:

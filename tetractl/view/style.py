@@ -101,7 +101,7 @@ class ShownFigure(Figure):
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Create an empty figure of a size in inches. No display is needed."""
+    """Create an empty figure of a width and a height [in]. No display is needed."""
     return ShownFigure(figsize=(width_in, height_in), layout="constrained")
 
 
@@ -250,5 +250,5 @@ def picture(drawing: Figure, wanted: str, dpi: float = PRINT_DPI) -> bytes:
 
 
 def svg(drawing: Figure) -> bytes:
-    """Return a figure as an image in the format SVG."""
+    """Return a figure as the bytes of an SVG file."""
     return picture(drawing, "svg")

@@ -152,7 +152,10 @@ class Video:
 
 
 def video(log: TrialLog, path: Path | None) -> Video:
-    """Return a video of a trial, written to a file if one is named; errors are `write_video`'s."""
+    """Return a video of a trial, and write it to a file if `path` is not None.
+
+    Without a path, it is a WebP of SHOWN_PX for a notebook. The errors are those of `write_video`.
+    """
     if path is not None:
         write_video(log, path)
         return Video(check_file(path), path.read_bytes())
@@ -172,7 +175,10 @@ def _speed(duration_s: float) -> int:
 
 
 def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, hold: int) -> None:
-    """Write the images of a video as GIF or WebP. The last one is shown `hold` times as long."""
+    """Write `count` images of a video as GIF or WebP, `rate` each second, repeated forever.
+
+    The last one is shown `hold` times longer than the others.
+    """
     milliseconds = round(1000 / rate)
     durations = [milliseconds] * (count - 1) + [milliseconds * (1 + hold)]
     images = map(Image.fromarray, pictures)
@@ -188,7 +194,11 @@ def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, h
 
 
 def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
-    """Write the images of a video as MP4. The last one is repeated `hold` times."""
+    """Write the images of a video as MP4, `rate` each second. The last is repeated `hold` times.
+
+    Raises:
+        OSError: If ffmpeg fails, with the last line that it printed.
+    """
     last = next(pictures)
     command = [
         "ffmpeg", "-y", "-loglevel", "error",
@@ -332,7 +342,11 @@ class _Words:
             line.set_text(words)
 
     def _written(self, moment: Moment) -> list[str]:
-        """Return the text of each line at an instant of the trial."""
+        """Return the text of each line at an instant of the trial.
+
+        The lines are time, plan, total error, and the error of each robot. A plan that is unknown
+        is "".
+        """
         unit = unit_of(moment.setup.unit)
         step = moment.step
         time = f"{moment.time_s:.1f} s"
@@ -358,7 +372,10 @@ def _followed(moment: Moment) -> Step | None:
 
 
 def _total_error(moment: Moment) -> float:
-    """Return the sum of the robots' distances to their targets that are known [length unit]."""
+    """Return the sum of the known distances of robots to their targets [length unit].
+
+    An unknown distance counts as 0.
+    """
     return float(np.nansum(moment.distances))
 
 
@@ -396,7 +413,10 @@ class VideoFrames:
         self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
 
     def at(self, elapsed_s: float) -> Picture:
-        """Draw the image at `elapsed_s` [s] after the first direction was sent."""
+        """Draw the image at `elapsed_s` [s] after the first direction was sent.
+
+        Its shape is (height, width, 3), with the colours red, green and blue.
+        """
         time_ns = self.recording.log.began_ns + round(elapsed_s * SECOND)
         moment = self.recording.at(time_ns)
         for part in self._parts:
@@ -411,7 +431,10 @@ class VideoFrames:
 
 
 def _heading(log: TrialLog) -> str:
-    """Return the heading of the video, which names the trial and states gaps in its log."""
+    """Return the heading of the video, which names the trial and says if it is incomplete.
+
+    It is cut to HEADING_LETTERS characters.
+    """
     heading = f"{log.start.setup.name}, trial {log.start.trial}: {log.origin.value}"
     lacks = unfinished(log)
     if lacks:

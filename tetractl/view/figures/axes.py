@@ -41,7 +41,10 @@ SMALL_NAME_PT = 4
 
 
 def positive(values: Floats) -> Floats:
-    """Return the values that a logarithmic axis can show; all others become NaN."""
+    """Return the values that a logarithmic axis can show; all others become NaN.
+
+    The axis can show finite numbers above 0.
+    """
     values = np.asarray(values, dtype=float)
     return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 

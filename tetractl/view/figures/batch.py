@@ -82,7 +82,13 @@ class BatchErrors:
 
 
 def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the final total errors of the complete trials in each folder."""
+    """Draw the final total errors of the trials in each folder.
+
+    Trials without a result or with an unknown error are left out.
+
+    Raises:
+        LogError: If no trial has a known error.
+    """
     batches: list[BatchErrors] = []
     for name, trials in by_folder(logs).items():
         errors = [(log.log, log.result.total_error) for log in trials if log.result is not None]
@@ -168,7 +174,10 @@ def _drawn(
 
 
 def _share_log_axis(panel: Axes, dots: Axes) -> None:
-    """Make the x axis of the distributions logarithmic, with the ticks of the dots' y axis."""
+    """Make the x axis of the distributions logarithmic, with the ticks of the dots' y axis.
+
+    Only the ticks in the range of both axes are taken, and the x axis starts where the y axis does.
+    """
     panel.set_xscale("log")
     low, _ = dots.get_ylim()
     _, end = panel.get_xlim()
@@ -179,7 +188,10 @@ def _share_log_axis(panel: Axes, dots: Axes) -> None:
 
 
 def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
-    """Add a legend that explains the signs of both panels, and which curve is which batch's."""
+    """Add a legend that explains the signs of both panels.
+
+    `curves` are the batches' curves; they are listed after the signs in `columns` columns.
+    """
     signs = [
         style.sign("one trial", marker="o", ms=4, alpha=0.7),
         style.sign("mean and its 95 % interval", ls="-", lw=4, marker="o", mfc="white"),
@@ -212,7 +224,7 @@ def _dots(
     color: str,
     links: Mapping[str, str],
 ) -> None:
-    """Draw a dot for each trial around a place on the x axis.
+    """Draw a dot for each trial around a place on the x axis, and link it to its trial if possible.
 
     Dots of similar errors stand apart.
     """
@@ -257,7 +269,10 @@ def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
 
 
 def band(n: int) -> float:
-    """Return half the height of the confidence band for n values, as a fraction of all trials."""
+    """Return half the height of the 95 % confidence band for n values, as a fraction of all trials.
+
+    The band holds for the whole distribution at once (Dvoretzky, Kiefer and Wolfowitz).
+    """
     return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * n))
 
 

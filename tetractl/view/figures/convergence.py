@@ -43,7 +43,10 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _draw_searches(axes: Axes, step: Step) -> None:
-    """Draw a control step's searches, the chosen one in front, with a note where it stopped."""
+    """Draw the costs of a control step's searches, the chosen one in front.
+
+    A note marks where the chosen search stopped.
+    """
     chosen = step.plan.search
     others = [search for search in step.plan.searches if search is not chosen]
     for search in others:

@@ -57,7 +57,10 @@ def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
 
 
 def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
-    """Name the curves in a legend to the right of the axes, in the order of their last values."""
+    """Name the curves in a legend to the right of the axes.
+
+    The curve with the highest last value comes first.
+    """
     falling = np.argsort([curve.values[-1] for curve in curves])[::-1]
     named = [curves[index] for index in falling]
     axes.legend(
@@ -102,5 +105,5 @@ def robot_curves(
 
 
 def end_s(log: TrialLog) -> float:
-    """Return the time from the first command of a trial to its end [s], above 0."""
+    """Return the time from the first direction of a trial to its end [s], at least 1e-9."""
     return max((end_ns(log) - log.began_ns) / SECOND, 1e-9)

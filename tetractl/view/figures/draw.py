@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def check_kind(kind: str) -> None:
-    """Check that a figure of this name exists. UsageError is raised if not."""
+    """Raise UsageError if there is no figure of this name, or if its package is not installed."""
     if kind not in FIGURES:
         lack = not_installed(FIGURES.group, kind)
         if lack is not None:
@@ -42,7 +42,10 @@ def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
 
 
 def _broken_off(logs: "Sequence[TrialLog]") -> str:
-    """Return a figure's note on the number of incomplete trials. Empty if there are none."""
+    """Return a figure's note on incomplete trials: how a single one ended, or how many there are.
+
+    Empty if all trials are complete.
+    """
     from tetractl.view.figures.trials import unfinished
 
     if len(logs) == 1:

@@ -152,7 +152,10 @@ def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
 
 def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time_s: Floats) -> None:
-    """Draw the errors of the trials of one folder, and their medians, with names."""
+    """Draw the errors of the trials of one folder at the times `time_s` [s], and their medians.
+
+    The medians are those of the complete trials or, if there are none, of all trials.
+    """
     setup = logs[0].start.setup
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
     completed = np.array([not unfinished(log) for log in logs])
@@ -193,7 +196,10 @@ def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:
 
 
 def _quartiles(values: Floats) -> tuple[Floats, Floats]:
-    """Compute the median over the first axis, and the first and third quartiles (2, ...)."""
+    """Compute the median over the first axis, and the first and third quartiles, shape (2, ...).
+
+    NaN is ignored.
+    """
     low, middle, high = np.nanpercentile(values, (25, 50, 75), axis=0)
     return middle, np.stack([low, high])
 
@@ -220,7 +226,7 @@ def _panels(
 def _mark_steps(axes: Axes, log: TrialLog) -> None:
     """Mark the times of control steps by ticks on the lower edge of the axes.
 
-    Steps that missed the deadline look different.
+    A triangle marks each step that missed the deadline.
     """
     sent_s = log.steps_s
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)

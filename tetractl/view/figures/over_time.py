@@ -170,7 +170,10 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
 
 
 def _quantities(log: TrialLog) -> list[_Quantity]:
-    """Return the quantities to draw, which are those of the controller's last estimate."""
+    """Return the quantities to draw, which are those of the controller's last estimate.
+
+    The log must contain at least one estimate.
+    """
     setup = log.start.setup
     estimates = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
     difference = "difference from the spec [%]"
@@ -265,7 +268,10 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
 
 
 def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
-    """Return copies of curves, with a text added to the name of each."""
+    """Return copies of curves, in which a text follows the name of each.
+
+    Both have the same length.
+    """
     return [
         replace(curve, name=f"{curve.name} {text}")
         for curve, text in zip(curves, texts, strict=True)

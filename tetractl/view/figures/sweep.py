@@ -83,7 +83,10 @@ def errors_by(
 
 
 def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
-    """Return the style of marks that are drawn slightly beside their place on the x axis [in]."""
+    """Return the style of marks that are drawn beside their place on the x axis.
+
+    `aside_in` is the distance to the right [in]; it may be negative.
+    """
     figure = axes.get_figure(root=True)
     assert figure is not None
     shift = ScaledTranslation(aside_in, 0, figure.dpi_scale_trans)
@@ -91,7 +94,11 @@ def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
 
 
 def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
-    """Return the position of each value on the x axis, and label the axis with the values."""
+    """Return {value: x} of each value on the x axis, and label the axis with the values.
+
+    If all values are numbers, x is the number itself, on a logarithmic axis if they span much.
+    Otherwise, x counts the values from 0 in their order.
+    """
     if not numeric(arms):
         labels = {repr(arm.value): arm.label for arm in arms}
         texts = [label[:LABEL_LENGTH] for label in labels.values()]
@@ -111,7 +118,10 @@ def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
 def _draw_intervals(
     axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
 ) -> None:
-    """Draw the 95 % interval of each arm's mean as a vertical line."""
+    """Draw the 95 % interval of each arm's mean as a vertical line.
+
+    Arms without one have no line.
+    """
     places: list[float] = []
     intervals: list[Interval] = []
     for place, arm in zip(x, arms, strict=True):
@@ -128,14 +138,17 @@ def _draw_intervals(
 def _draw_trials(
     axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
 ) -> None:
-    """Draw a dot for each trial of a curve."""
+    """Draw a dot for the error of each trial of a curve."""
     errors = np.concatenate([arm.errors for arm in arms])
     places = np.repeat(x, [len(arm.errors) for arm in arms])
     axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.5, gid="trials", **look)
 
 
 def _show_all(axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors]) -> None:
-    """Set the limits of the axes so that a curve fits. Curves shifted sideways do not do so."""
+    """Set the limits of the axes so that a curve fits.
+
+    This is needed because curves that are shifted sideways do not change the limits themselves.
+    """
     points: list[tuple[float, float]] = []
     for place, arm in zip(x, arms, strict=True):
         points += [(place, error) for error in arm.errors]

@@ -192,7 +192,10 @@ def draw_scene(
 def _number(
     axes: Axes, robot: int, color: str, place: Floats, aside_pt: tuple[float, float]
 ) -> None:
-    """Write the number of a robot, counted from 1, beside a place."""
+    """Write the number of a robot, its index plus 1, beside a place.
+
+    `aside_pt` is the offset of the text from the place, x and y [pt].
+    """
     axes.annotate(
         str(robot + 1), tuple(place), aside_pt, textcoords="offset points", ha="center",
         va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
@@ -288,7 +291,10 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
 
 
 def _shows_error(log: TrialLog) -> Bools:
-    """Return for which robots (N,) a line fits between the marks of their end and target."""
+    """Return for which robots (N,) a line fits between the marks of their end and target.
+
+    The distance must exceed ERROR_SEEN times the longer side of the arena.
+    """
     errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
     return np.asarray(errors > ERROR_SEEN * log.start.setup.arena.longer_side)
 
@@ -401,7 +407,10 @@ def _with_errors(names: list[str], errors: list[str]) -> list[str]:
 
 
 def _mean_and_std(errors: Floats) -> str:
-    """Return the mean of errors as text, with the standard deviation (n - 1) of several."""
+    """Return the mean of errors as text.
+
+    For two or more, the standard deviation (n - 1) follows.
+    """
     mean = float(errors.mean())
     digits = 2
     if mean >= 10:

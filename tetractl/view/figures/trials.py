@@ -76,19 +76,22 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
 
 
 def need_steps(log: TrialLog) -> None:
-    """Check that a log has control steps. LogError is raised if not."""
+    """Raise LogError if a log has no control steps."""
     if not log.steps:
         raise LogError(f"{log.log}: the log contains no control steps to plot")
 
 
 def need_frames(log: TrialLog) -> None:
-    """Check that a log has camera frames. LogError is raised if not."""
+    """Raise LogError if a log has no camera frames."""
     if not len(log.mocap_ns):
         raise LogError(f"{log.log}: the log contains no camera frames to plot")
 
 
 def unfinished(log: TrialLog) -> str:
-    """Describe how and why an incomplete trial ended. Empty for a complete trial."""
+    """Describe how and why an incomplete trial ended, or that its log breaks off.
+
+    Empty if complete.
+    """
     if log.result is None:
         return "the log breaks off before the end of the trial"
     if log.result.outcome.complete:
@@ -97,7 +100,11 @@ def unfinished(log: TrialLog) -> str:
 
 
 def final_poses(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) of the result or, without one, the last measured poses."""
+    """Return the final poses (N, 3) in the result: x, y [length unit], heading [rad].
+
+    Without a result, they are the last accepted poses or, for a robot that was never tracked, its
+    start.
+    """
     if log.result is not None:
         return log.result.verdict.final.array()
     poses = log.start.setup.starts.array()
@@ -109,9 +116,10 @@ def final_poses(log: TrialLog) -> Floats:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure.
+    """Return the robots' names for a figure, in the same order.
 
-    Long names are shortened. Names are numbered if there are NUMBERED or more.
+    A name longer than NAME_LENGTH is shortened. If there are NUMBERED names or more, each is
+    preceded by its number, from 1.
     """
     short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
     if len(names) < NUMBERED:

@@ -136,7 +136,10 @@ class Canvas:
             self._style[row, column] = self._index(style)
 
     def text(self) -> list[str]:
-        """Return the rows of the canvas as text."""
+        """Return the rows of the canvas as text, from top to bottom.
+
+        In a cell with dots, the dots hide any character.
+        """
         braille = (BRAILLE + self._bits.astype(np.uint32)).view("<U1")
         chars = np.where(self._bits > 0, braille, self._chars)
         return ["".join(row) for row in chars]
@@ -224,7 +227,10 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
 
 def _ticks(low: float, high: float, step: float) -> Floats:
-    """Return coordinates from low to high, at most `step` apart; none if high < low."""
+    """Return equally spaced coordinates from low to high, both included, at most `step` apart.
+
+    Empty if high < low.
+    """
     if high < low:
         return np.empty(0)
     return np.linspace(low, high, math.ceil((high - low) / step) + 1)

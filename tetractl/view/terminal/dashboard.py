@@ -82,9 +82,9 @@ class Footer:
     hints: tuple[str, ...] = ()
 
     def text(self, width: int) -> Text:
-        """Return the line for a width.
+        """Return the line for a width in characters.
 
-        If it is too long, hints are left out, then the bar is shortened.
+        If it is too long, hints are left out from the last one, then the bar is shortened.
         """
         words = len(self.before) + len(self.after) + 2
         hints = list(self.hints)
@@ -281,7 +281,10 @@ class Dashboard:
             yield line
 
     def _standing(self) -> list[str]:
-        """Return the names of the robots that stand still, as estimated with the newest plan."""
+        """Return the names of the robots that stand still, as estimated with the newest plan.
+
+        Empty if there is no estimate.
+        """
         step = self._moment.step
         if step is None or not step.plan.estimate:
             return []
@@ -300,7 +303,8 @@ class Dashboard:
     def _plan(self, width: int) -> list[Text]:
         """Return lines with the cost of the newest plan before and after its search.
 
-        They also state the search's iterations.
+        They also state the search's iterations. Empty if there was no search, if the robots pause,
+        or in the plain style.
         """
         setup = self._moment.setup
         step = self._moment.step
@@ -322,7 +326,10 @@ class Dashboard:
         ]
 
     def _effort(self) -> list[Text]:
-        """Return lines that state how long the newest search took, and how many evaluations."""
+        """Return lines that state how long the newest search took, and how many evaluations.
+
+        Empty if there was no search, or in the plain style.
+        """
         step = self._moment.step
         if step is None or self._plain or _is_given(step):
             return []
@@ -333,7 +340,10 @@ class Dashboard:
         return [solve, _row("evaluations", evaluations)]
 
     def _warnings_and_end(self, width: int) -> list[Text]:
-        """Return the notes, the text `aside` and, at the end, lines with the trial's result."""
+        """Return the notes, the text `aside` and, once there is a result, lines about it.
+
+        In the plain style, a complete trial has no lines about its result.
+        """
         lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
         aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
         lines += [Text(line, "dim", no_wrap=True) for line in aside]
@@ -378,7 +388,7 @@ def fitted(console: Console, text: Text, width: int) -> list[Segment]:
 
 
 def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
-    """Yield rows for the library rich, each exactly as wide as the screen."""
+    """Yield rows for the library rich, each cut or filled to exactly `width` characters."""
     for number, row in enumerate(rows):
         if number:
             yield Segment.line()
@@ -386,7 +396,7 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
 
 
 def _end_lines(result: Result, width: int) -> list[Text]:
-    """Return lines that describe how a trial ended, and why."""
+    """Return lines that describe how a trial ended, and why, wrapped to `width` characters."""
     alarm = "bold red" if result.outcome is Outcome.ABORTED else ""
     lines = [Text(f"ended: {result.outcome}", "bold", no_wrap=True)]
     lines += [Text(line, alarm, no_wrap=True) for line in textwrap.wrap(result.reason, width)]

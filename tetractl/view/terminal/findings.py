@@ -65,7 +65,10 @@ def _verdict(preflight: Preflight) -> str:
 
 
 def preflight_items(preflight: Preflight) -> dict[str, Any]:
-    """Return the result of the preflight as data for JSON."""
+    """Return the result of the preflight as data for JSON.
+
+    Misplaced robots count among its problems. The latency is None if it is unknown.
+    """
     robots = [
         {
             "name": robot.name,

@@ -74,7 +74,10 @@ def sparkline(
 
 
 def _levels(y: Floats, log: bool) -> list[int]:
-    """Return the height of each value as an index into SPARKS, the highest for unknown values."""
+    """Return the height of each value as an index into SPARKS, the highest for unknown values.
+
+    The lowest height is 0 on a linear scale, and the minimum of the values if `log` is true.
+    """
     if log:
         y = np.log(np.maximum(y, LEAST))
     low = np.nanmin(y) if log else 0.0

@@ -95,7 +95,7 @@ class Wish:
     def after(self, key: str) -> "Wish":
         """Return the person's new wish after a key or a movement of the mouse.
 
-        Keys without a function do not change it.
+        Keys without a function do not change it. A stop cannot be taken back.
         """
         if key in ARROWS:
             return replace(self, direction=ARROWS[key])
@@ -134,7 +134,11 @@ class HandKeys:
         self._can_pause = can_pause
 
     def press(self, key: str) -> None:
-        """Take a key that was pressed, given by its name, and change the person's wish."""
+        """Take a key that was pressed, given by its name, and change the person's wish.
+
+        The key may also be the answer for which `await_answer` waits. The pause key is ignored if
+        the plant cannot pause.
+        """
         name = key.lower() if len(key) == 1 else key  # P is p
         if name != PAUSE or self._can_pause:
             self._wish = self._wish.after(name)
@@ -142,12 +146,12 @@ class HandKeys:
             self._answer = name
 
     def stop(self) -> None:
-        """Stop the robots, as by the space bar, and leave."""
+        """Stop the robots, as the space bar does, and answer LEAVE."""
         self._wish = replace(self._wish, stops=True)
         self._answer = LEAVE
 
     def forget(self) -> None:
-        """Forget earlier answers, so that `await_answer` waits for a key pressed from now on."""
+        """Forget earlier answers, so that `await_answer` waits for a new key."""
         self._answer = ""
 
     def await_answer(self) -> str:
@@ -218,7 +222,7 @@ class KeyScript:
         self._keys = keys
 
     def ask(self, time_s: float) -> float | None:
-        """Return the direction [rad] at a time after the first key [s]. None to stop."""
+        """Return the direction [rad] at a time after the first key [s]. None after a stop key."""
         wish = Wish()
         for pressed_s, key in self._keys:
             if pressed_s <= time_s:
@@ -230,7 +234,8 @@ def read_script(path: Path) -> KeyScript:
     """Read a file of keys that steers instead of a person.
 
     Raises:
-        UsageError: With file and line, if it is wrong.
+        UsageError: With file and line, if a line is wrong, times decrease, or the first key is
+            not an arrow.
     """
     keys: list[tuple[float, str]] = []
     last_s = 0.0
@@ -268,7 +273,7 @@ def _seconds(word: str, where: str) -> float:
     """Convert a word of a file of keys to a time [s].
 
     Raises:
-        UsageError: If it is not a time.
+        UsageError: If it is no number, negative or infinite. The message starts with `where`.
     """
     try:
         time_s = float(word)

@@ -80,7 +80,7 @@ class _Unbuffered:
         tty.setcbreak(self.fd, termios.TCSANOW)
 
     def restore(self) -> None:
-        """Restore the former mode of the terminal. Do nothing if it was closed."""
+        """Restore the mode that the terminal had at first. Do nothing if it was closed."""
         import termios
 
         with suppress(termios.error):

@@ -70,7 +70,10 @@ class TrialSoFar:
             self._now_ns = observation.sampled_ns
 
     def on_step(self, step: Step) -> None:
-        """Store a new control step, and the total error at its time."""
+        """Store a new control step, and the total error at its time.
+
+        The total error is the sum of the distances to the targets in the step's observation.
+        """
         self.on_command(step.command)
         self._step = step
         self._now_ns = max(self._now_ns, step.command.sent_ns)
@@ -78,12 +81,15 @@ class TrialSoFar:
         self._totals.append(float(distances.sum()))
 
     def on_command(self, command: Command) -> None:
-        """Store the time of the first direction. Other commands show only by their effect."""
+        """Store the time of the first command that is not a stop. Later commands change nothing."""
         if self._first_direction_ns is None and not command.stops:
             self._first_direction_ns = command.sent_ns
 
     def preview(self, plan: Plan, direction: float) -> None:
-        """Show the plan of a direction that is not sent, in place of the newest step's."""
+        """Show the plan of a direction [rad] that is not sent, in place of the newest step's.
+
+        Nothing happens before the first step.
+        """
         if self._step is not None:
             command = replace(self._step.command, action=Steer(direction))
             self._step = replace(self._step, plan=plan, command=command)
@@ -128,7 +134,7 @@ class TrialSoFar:
         return f"is outside: lost, {beyond[direction]:.4g} {self.start.setup.unit} {direction}"
 
     def moment(self) -> Moment:
-        """Return all that a view shows of the trial now."""
+        """Return all that a view shows of the trial now. Times count from the first direction."""
         setup = self.start.setup
         began_ns = self._first_direction_ns
         if began_ns is None:
@@ -303,7 +309,10 @@ class TerminalPrompt:
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
-        """Return whether the person has pressed Enter since the last text was printed."""
+        """Return whether the person has pressed Enter since the last text was printed.
+
+        If so, the key press is used up, and the next text is printed even if it is the same.
+        """
         if not self._entered.is_set():
             return False
         self._entered.clear()
@@ -348,7 +357,7 @@ class LabWatch(LiveView):
         self._show_lines()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Close the live view, and print the notes and the trial's line."""
+        """Close the live view, and print the notes and the trial's line, if it has a result."""
         super().trial_ended(ending)
         self._show_lines()
         if ending.result:

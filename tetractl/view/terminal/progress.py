@@ -100,7 +100,7 @@ class BatchProgress(_TrialsBar):
         self._unit = unit
 
     def trial_ended(self, ending: Ending) -> None:
-        """Advance the bar, or print the trial's line."""
+        """Advance the bar or, without a bar, print the trial's line if it has a result."""
         if ending.result:
             self._tally.add(ending.result)
         self._advance(_left(ending), self._tally.summary(self._unit))
@@ -126,7 +126,10 @@ class StudyProgress(_TrialsBar):
         self._expected = False  # whether the expected duration was printed
 
     def trial_ended(self, ending: Ending) -> None:
-        """Print a failure and the expected duration; advance the bar, or print a line."""
+        """Print a failure and the expected duration; advance the bar, or print a line.
+
+        The expected duration is printed once. Without a bar, about LINES lines are printed in all.
+        """
         if ending.failure:
             self._say(f"failed: {ending.task.arm}/{ending.task.trial}: {ending.failure}")
         if ending.result is not None:
@@ -149,7 +152,7 @@ class StudyProgress(_TrialsBar):
 
 
 def progress_of_script(total: int) -> RunObserver:
-    """Create the progress display for a script or, in a notebook, for a cell."""
+    """Create the progress display of `total` trials for a script or, in a notebook, for a cell."""
     if "IPython" in sys.modules:
         shell = resolve_name("IPython:get_ipython")()
         if hasattr(shell, "kernel"):  # a terminal's shell has none
@@ -171,7 +174,10 @@ class ScriptProgress(RunObserver):
         self._said_s = now_s()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Count a trial that has ended, and print a line if the last one was PAUSE_S ago."""
+        """Count a trial that has ended, and print a line if the last one was PAUSE_S ago.
+
+        It is printed to stderr.
+        """
         self._done += 1
         now_s = self._now_s()
         if now_s - self._said_s < PAUSE_S:
@@ -247,7 +253,10 @@ def trial_line(task: Task, result: Result, unit: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time [s] as text such as 45 s, 3 min 20 s or 2 h 5 min."""
+    """Return a time [s], rounded to whole seconds, as text such as 45 s, 3 min 20 s or 2 h 5 min.
+
+    Seconds are left out from one hour on. A negative time counts as 0.
+    """
     whole_s = max(round(seconds), 0)
     if whole_s < 60:
         return f"{whole_s} s"

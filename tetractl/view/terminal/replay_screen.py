@@ -190,7 +190,10 @@ def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int
 
 
 def result_line(recording: Recording) -> str:
-    """Return a line of text that says how a trial ended, with its final error."""
+    """Return a line of text that says how a trial ended, with its final error.
+
+    It must have a result.
+    """
     end = recording.at(recording.end_ns)
     result = recording.log.result
     assert result is not None, "the caller has checked this"
@@ -201,7 +204,7 @@ def result_line(recording: Recording) -> str:
 
 
 def step_line(recording: Recording, index: int) -> str:
-    """Return a line of text about one control step of a recording."""
+    """Return a line of text about the control step of a recording with this index, from 0."""
     setup = recording.log.start.setup
     step = recording.log.steps[index]
     plan = step.plan

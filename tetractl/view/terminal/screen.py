@@ -51,6 +51,9 @@ class Screen:
         self._live.stop()
 
     def show(self, picture: RenderableType) -> None:
-        """Show an image in place of the last one."""
+        """Show an image in place of the last one.
+
+        If the display is closed, it is shown after `open`.
+        """
         self._shown = True
         self._live.update(picture, refresh=True)

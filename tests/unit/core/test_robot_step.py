@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import linregress
 
 from tetractl.core.poses import Pose
 from tetractl.core.robot_step import RobotStep
@@ -34,3 +35,15 @@ def test_a_fitted_step_is_the_speed_with_the_error_of_its_slope():
     step = RobotStep.fitted(times_s, places)
     assert step.std == pytest.approx(np.array([0.5, 0.5, 0.01]) * math.sqrt(12 / 400), rel=0.15)
     assert np.all(abs(step.way - [3.0, 0.0, 0.1]) < 4 * step.std)
+
+
+@pytest.mark.parametrize("n", [3, 4, 7])
+def test_the_variance_of_a_step_from_few_poses_is_that_of_a_regression(n):
+    """SciPy's standard error of a slope is the reference."""
+    rng = np.random.default_rng(620602)
+    times_s = 5 + np.sort(rng.uniform(0, 1, n))
+    places = np.outer(times_s, [3.0, -2.0, 0.1]) + rng.normal(0, [0.5, 0.2, 0.01], (n, 3))
+    step = RobotStep.fitted(times_s, places)
+    lines = [linregress(times_s, column) for column in places.T]
+    assert step.way == pytest.approx([line.slope for line in lines])
+    assert step.std == pytest.approx([line.stderr for line in lines])

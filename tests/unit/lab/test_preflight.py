@@ -12,6 +12,7 @@ from testkit.trials import experiment
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose, Poses
 from tetractl.core.protocols import RobotStatus
+from tetractl.core.trial import EMULATED_DEVICES
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.preflight import (
     Preflight,
@@ -21,6 +22,7 @@ from tetractl.lab.preflight import (
     look_over,
     unplaced,
 )
+from tetractl.lab.rig import Rig
 from tetractl.spec.lab_section import LabLimits
 
 
@@ -34,6 +36,12 @@ def looked_over(change=lambda camera: None):
 
 def test_a_good_lab_has_no_problem():
     assert looked_over().problems == ()
+
+
+def test_facts_name_emulated_devices_only_if_there_are_any(monkeypatch):
+    assert EMULATED_DEVICES not in looked_over().facts
+    monkeypatch.setattr(Rig, "emulated", lambda *devices: ["camera", "robots"])
+    assert looked_over().facts[EMULATED_DEVICES] == "camera, robots"
 
 
 def test_each_device_is_checked_once(monkeypatch):

@@ -57,6 +57,18 @@ def test_it_fills_exactly_the_terminal_it_is_given(recording, width, height, sec
     assert {len(text) for text in lines} == {width}
 
 
+def test_a_low_terminal_leaves_out_effort_first_then_plan_robots_and_total(recording):
+    parts = ["step k", "total error", "to target", "plan cost", "solve time"]
+    shown = []
+    for height in range(24, 5, -1):
+        text = "\n".join(screen(recording, 100, height, 3))
+        shown.append([part in text for part in parts])
+    assert shown[0] == [True] * 5
+    for present in shown:
+        assert present == sorted(present, reverse=True)  # what goes first is never kept longer
+    assert shown[-1].count(True) < 3
+
+
 @pytest.mark.parametrize("width", range(44, 80, 3))
 def test_a_narrow_terminal_marks_where_it_cuts(recording, width):
     """Regression: at 44 columns a cost of 8.7e-06 mm was "8.7e-0"."""

@@ -146,7 +146,7 @@ class EmulatedLab:
 
     @property
     def port(self) -> str:
-        """The name of the actuator's first port. "" if it has none."""
+        """The name of the actuator's first port. "" if the actuator has no port."""
         actuator = self.actuator
         return actuator.wired[0].port.name if isinstance(actuator, PluggedDevices) else ""
 
@@ -157,7 +157,11 @@ class EmulatedLab:
             self.note("guard", state=str(state), reason=reason)
 
     def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator | Process:
-        """Return the device, or the process, on which a fault acts."""
+        """Return the device on which a fault acts, or the process of the program that is tested.
+
+        A fault of the process takes precedence over one of the camera, and that over the
+        actuator's.
+        """
         if type(fault) in PROCESS_FAULTS:
             return self._process
         return self.camera if type(fault) in self.camera.faults else self.actuator
@@ -177,7 +181,7 @@ class EmulatedLab:
         self._record.write(_as_json({"t_ns": now, "event": event, **facts}) + "\n")
 
     def _exposed(self, exposure: int, frame: int) -> None:
-        """Report an exposure to the injector, and record the true poses at that time."""
+        """Report an exposure to the injector, and record the true poses [mm, rad] at that time."""
         self.injector.exposed(exposure)
         if self._record is not None:
             bodies = self.actuator.bodies
@@ -215,7 +219,10 @@ class EmulatedLab:
         self.timeline.at(now_ns + TICK_NS, self._tick)
 
     def _note_run(self, now_ns: int) -> None:
-        """Record the first command that drives robots, and report the first stop after it."""
+        """Record the first command that drives robots, and report when none is driven after it.
+
+        A later stop is reported at each call, but the injector only counts the first one.
+        """
         driven = self.actuator.driven
         if driven and not self._has_run:
             self._has_run = True
@@ -228,7 +235,10 @@ class EmulatedLab:
             self.injector.happened("stop")
 
     def _note_motion(self, now_ns: int) -> None:
-        """Record each robot that starts or stops moving, and report when all have stopped."""
+        """Record each robot that starts or stops moving.
+
+        Report "moving" when the first robot starts, and "rest" when the last one has stopped.
+        """
         for i, body in enumerate(self.actuator.bodies):
             if self._moving[i] == body.standing:
                 self._moving[i] = not body.standing
@@ -243,7 +253,11 @@ class EmulatedLab:
             self._report("rest", {})
 
     def _carry_if_done(self, now_ns: int) -> None:
-        """Carry the robots to their starts if they have stood for `replace_after` since a run."""
+        """Carry the robots to their starts if they have stood for `replace_after` [s] since a run.
+
+        Nothing happens if the option is None, or before the first run. The robots are switched off
+        and untracked until they are put down.
+        """
         wait_s = self._options.replace_after
         if wait_s is None or not self._has_run or self._at_rest_since_ns is None:
             return
@@ -284,7 +298,10 @@ class EmulatedLab:
 
 
 def _check_names(script: Script, setup: Setup) -> None:
-    """Raise SpecError if a script names a robot that is not in the spec."""
+    """Raise SpecError if a script names a robot that is not in the spec.
+
+    The first such name is reported.
+    """
     emulation = script.emulation
     sides = [dict(side) for side in (emulation.camera, emulation.actuator) if side is not None]
     lists = [emulation.robots, *(side.get("robots", ()) for side in sides)]

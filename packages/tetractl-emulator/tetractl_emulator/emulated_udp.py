@@ -33,10 +33,10 @@ class UdpPlug(PseudoPort):
         self._stalled = False
 
     def plug(self) -> None:
-        """Start to listen at the port.
+        """Start to listen at the port on 127.0.0.1.
 
         Raises:
-            TetractlError: If the port is in use.
+            TetractlError: If the port cannot be opened, for example because it is in use.
         """
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -65,7 +65,10 @@ class UdpPlug(PseudoPort):
         """Return None: a network has no baud rate."""
 
     def read(self) -> bytes:
-        """Return the next datagram, or b"" if there is none."""
+        """Return the next datagram, or b"" if there is none, or if the port is stalled.
+
+        Answers then go to the sender of this datagram.
+        """
         if self._socket is None:
             return b""
         with suppress(BlockingIOError):
@@ -76,7 +79,7 @@ class UdpPlug(PseudoPort):
     def write(self, data: bytes) -> None:
         """Send a datagram to the program that sent the last one.
 
-        Without such a program, it is lost.
+        It is lost if there is no such program, or if it cannot be sent.
         """
         if self._socket is not None and self._sender is not None:
             with suppress(OSError):

@@ -123,7 +123,7 @@ def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
 
 
 def vector(low: float, high: float) -> DrawValue:
-    """Create a function that samples a vector in a random direction.
+    """Create a function that samples a vector [x, y] in a random direction.
 
     Its length is sampled like `between`.
     """
@@ -161,7 +161,7 @@ def one_of(*values: Any) -> DrawValue:
 
 
 def pair(draw: DrawValue) -> DrawValue:
-    """Create a function that samples two values with `draw` and rounds each to a whole number."""
+    """Create a function that samples twice with `draw`, and returns a list of two whole numbers."""
     return lambda d: [round(draw(d)), round(draw(d))]
 
 
@@ -175,7 +175,7 @@ def lost(d: Draw) -> float:
 
 
 def first_robot(d: Draw) -> str:
-    """Return the name of the robot that has the fault."""
+    """Return the name of the robot that has the fault: the first of the names in random order."""
     return d.names[0]
 
 
@@ -188,7 +188,7 @@ WHEEL = one_of("left", "right", "both")
 
 
 def _vector(length: float, angle: float) -> list[float]:
-    """Return x and y of a vector with a length and an angle [rad]."""
+    """Return [x, y] of a vector with a length and an angle [rad], rounded to 6 decimals."""
     x = length * math.cos(angle)
     y = length * math.sin(angle)
     return [round(x, 6), round(y, 6)]

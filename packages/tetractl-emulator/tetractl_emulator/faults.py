@@ -98,7 +98,7 @@ class ActingFaults:
         self._faults.setdefault(fault.fault, []).append(fault)
 
     def remove(self, fault: Fault) -> None:
-        """Remove a fault that no longer acts."""
+        """Remove a fault that no longer acts. It must have been added before."""
         self._faults[fault.fault].remove(fault)
 
     def of_kind(self, name: str, robot: str | None = None) -> Sequence[Any]:
@@ -113,21 +113,24 @@ class ActingFaults:
         return [f for f in faults if f.robot == robot] if faults and robot else faults
 
     def newest(self, name: str, robot: str | None = None) -> Any:
-        """Return the fault of a kind that began last. None if no such fault acts."""
+        """Return the fault of a kind that began last, of one robot or, for None, of any.
+
+        None if no such fault acts.
+        """
         faults = self.of_kind(name, robot)
         return faults[-1] if faults else None
 
     def total_by(self, name: str, robot: str | None = None) -> float:
         """Return the sum of the fields `by` of the acting faults of a kind.
 
-        0 if no such fault acts.
+        Only those of one robot count if `robot` is not None. 0 if no such fault acts.
         """
         return sum(fault.by for fault in self.of_kind(name, robot))
 
     def largest_share(self, name: str, robot: str | None = None) -> float:
         """Return the maximum field `share` of the acting faults of a kind.
 
-        0 if no such fault acts.
+        Only those of one robot count if `robot` is not None. 0 if no such fault acts.
         """
         return max((fault.share for fault in self.of_kind(name, robot)), default=0.0)
 
@@ -261,18 +264,21 @@ class Injector:
                 self._timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
-        """Report that the exposure with this number is about to be taken."""
+        """Report that the exposure with this number is about to be taken. Numbers increase."""
         self._newest = exposure
 
     def sent(self, exposure: int) -> None:
-        """Report that the frame of an exposure was sent, or withheld by a fault."""
+        """Report that the frame of an exposure was sent, or withheld by a fault.
+
+        Faults that have become visible by this frame are reported as started.
+        """
         for fault, first in list(self._pending):
             if fault.visible is Visible.SENT or exposure >= first:
                 self._pending.remove((fault, first))
                 self._report("start", fault)
 
     def act(self, fault: Fault) -> Undo:
-        """Begin a fault now, and return a function that ends it."""
+        """Begin a fault now, and return a function that ends it. Nothing is reported."""
         self.acting.add(fault)
         undo = fault.begin(self.device_of(fault))
 
@@ -284,7 +290,11 @@ class Injector:
         return end
 
     def _begin(self, fault: Fault) -> None:
-        """Begin a fault, and schedule its end if it has a duration."""
+        """Begin a fault, and schedule its end if it has a duration.
+
+        A fault that is visible at once is reported now, before it begins. Any other is reported
+        when a frame shows it.
+        """
         if fault.visible is Visible.AT_ONCE:
             self._report("start", fault)  # before it: a killed process reports nothing
         end = self.act(fault)

@@ -53,7 +53,7 @@ FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
 
 
 def compiler() -> str | None:
-    """Find a C compiler.
+    """Find a C compiler: the one in the environment variable CC, or else cc, gcc or clang.
 
     Returns:
         Its path, or None if there is none.
@@ -186,7 +186,7 @@ class Core:
         return self._library[function](self._core, *arguments)
 
     def _pair(self, function: str, now_ms: int) -> tuple[int, int]:
-        """Call a function of the core that writes two numbers, and return them."""
+        """Call a function of the core that writes two numbers at a time [ms], and return them."""
         self._library[function](self._core, now_ms, *self._both)
         return self._one.value, self._two.value
 

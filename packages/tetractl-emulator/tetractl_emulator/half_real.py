@@ -100,11 +100,15 @@ class MovedCamera:
             self._past.popleft()
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames since the last call, with displaced poses."""
+        """Return the frames since the last call, oldest first, with displaced poses."""
         return [self._moved(frame) for frame in self._camera.frames()]
 
     def _moved(self, frame: CameraFrame) -> CameraFrame:
-        """Displace the poses in a frame. Until the emulated robots drive, only store the poses."""
+        """Return a frame with displaced poses.
+
+        Until the emulated robots drive, the poses stay as they are and are stored as the robots'
+        places.
+        """
         if not self._drove:
             self._home = [new or old for new, old in zip(frame.poses, self._home, strict=True)]
             return frame
@@ -115,7 +119,10 @@ class MovedCamera:
         return replace(frame, poses=tuple(poses))
 
     def _emulated_at(self, at_ns: int) -> Any:
-        """Return the newest emulated poses up to a time [ns], or the oldest that are kept."""
+        """Return the newest emulated poses up to a time [ns].
+
+        If none is so old, return the oldest one kept.
+        """
         past = tuple(self._past)  # a copy, because another thread may add poses
         for t_ns, poses in reversed(past):
             if t_ns <= at_ns:

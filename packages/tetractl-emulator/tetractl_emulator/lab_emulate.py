@@ -98,7 +98,10 @@ def emulate(
 
 
 def _in_words(event: str, facts: dict[str, Any]) -> str:
-    """Describe an event as a line for the terminal."""
+    """Describe an event as a line for the terminal.
+
+    Events without a text of their own are faults.
+    """
     match event:
         case "ready":
             where = f"cameras at {facts['camera']}, {facts['actuator']}"

@@ -29,7 +29,10 @@ class Timeline:
         self._order = count()
 
     def at(self, when_ns: int, act: Act) -> None:
-        """Schedule a function for a time [ns], or for the present if that time has passed."""
+        """Schedule a function for a time [ns], or for the present if that time has passed.
+
+        Functions at the same time are called in the order in which they were scheduled.
+        """
         heapq.heappush(self._events, (max(when_ns, self.now_ns), next(self._order), act))
 
     @property
@@ -38,7 +41,10 @@ class Timeline:
         return self._events[0][0] if self._events else None
 
     def run_to(self, until_ns: int) -> None:
-        """Run all events up to the time `until_ns` [ns], each at its own time."""
+        """Run all events up to and including the time `until_ns` [ns], each at its own time.
+
+        Events that they schedule in this span are run as well.
+        """
         while self._events and self._events[0][0] <= until_ns:
             when, _, act = heapq.heappop(self._events)
             self._move(when)
@@ -74,11 +80,14 @@ class Loop:
         self._ended = False
 
     def watch(self, fd: int, act: Act) -> None:
-        """Call `act` whenever data can be read from the file descriptor `fd`."""
+        """Call `act` whenever data can be read from the file descriptor `fd`.
+
+        It replaces an earlier function for the same descriptor.
+        """
         self._readers[fd] = act
 
     def forget(self, fd: int) -> None:
-        """Stop watching the file descriptor `fd`; see `watch`."""
+        """Stop watching the file descriptor `fd`. Nothing happens if it is not watched."""
         self._readers.pop(fd, None)
 
     def end(self) -> None:
@@ -95,7 +104,10 @@ class Loop:
             self.turn()
 
     def turn(self) -> None:
-        """Run all events that are due, then wait for the next event or for data."""
+        """Run all events that are due, then wait for the next event or for data, at most POLL_S.
+
+        A delay is noted in `worst_lag_ns`, and reported if it exceeds 5 ms.
+        """
         now = self.now()
         due = self.timeline.next_ns
         if due is not None and now > due:

@@ -40,7 +40,10 @@ class MemoryNetwork:
         self.ports: dict[str, MemoryPort] = {}
 
     def bound_socket(self, host: str, port: int) -> "MemorySocket":
-        """Create a UDP socket in memory that listens at the address `host` and `port`."""
+        """Create a UDP socket in memory that listens at an address.
+
+        Port 0 is replaced by a free port.
+        """
         opened = MemorySocket(self)
         opened.bind((host, port))
         return opened
@@ -95,7 +98,7 @@ class MemorySocket:
             receiver._queue.append((bytes(data), self._name))
 
     def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        """Return the oldest waiting datagram and its sender's address.
+        """Return the oldest waiting datagram, cut to `size` bytes, and its sender's address.
 
         Raises:
             BlockingIOError: If no datagram is waiting.
@@ -106,7 +109,7 @@ class MemorySocket:
         return data[:size], sender
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop listening. This method can be called repeatedly."""
         self._network.sockets.pop(self._name, None)
 
 
@@ -128,13 +131,19 @@ class MemoryPort(PseudoPort):
         self.stalled = False
 
     def plug(self) -> None:
-        """Plug the port in, so that programs can open it by its name."""
+        """Plug the port in, so that programs can open it by its name.
+
+        It replaces a port of the same name.
+        """
         ports = self._network.ports
         self.fd = 1 + max((port.fd for port in ports.values()), default=2)
         ports[self.name] = self
 
     def unplug(self) -> None:
-        """Remove the port. Our end fails. This method can be called repeatedly."""
+        """Remove the port.
+
+        Our end, if it is open, then fails. This method can be called repeatedly.
+        """
         self.fd = -1
         self._taken.clear()
         self._network.ports.pop(self.name, None)
@@ -148,7 +157,7 @@ class MemoryPort(PseudoPort):
     def baud(self) -> int | None:
         """Return the speed that our end has set [bits/s].
 
-        It is 0 if our end is closed, and None for a network.
+        It is 0 if our end is closed, and None if the port is a network address.
         """
         if self._is_network:
             return None
@@ -197,7 +206,7 @@ class MemorySerial(SerialPort):
         self.bits_a_second = baud
 
     def open(self, alone: bool = True) -> None:
-        """Open the port; see `SerialPort.open`."""
+        """Open the port; see `SerialPort.open`. With `alone`, it must not be open already."""
         devices_end = self._network.ports.get(str(self._name))
         if devices_end is None:
             raise missing_port(self._name, self._device)
@@ -233,7 +242,10 @@ class MemorySerial(SerialPort):
         self._devices_end = None
 
     def hear(self, data: bytes) -> None:
-        """Pass on bytes from the device. Empty bytes mean that the device was unplugged."""
+        """Pass on bytes from the device to the program, with the present time.
+
+        Empty bytes mean that the device was unplugged: the port has then failed.
+        """
         if not data:
             self._fail("is gone: Input/output error")
         self._on_received(data, self._clock.now())

@@ -31,7 +31,10 @@ _BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
 
 
 def uart_ns(size: int, baud: int) -> int:
-    """Compute the time [ns] that `size` bytes take on a serial line, at ten bits per byte."""
+    """Compute the time [ns] that `size` bytes take on a serial line, at ten bits per byte.
+
+    `baud` is the speed in bits/s. Parts of a nanosecond are dropped.
+    """
     return size * 10 * SECOND // baud
 
 
@@ -82,7 +85,10 @@ class SerialLine:
         return self.baud if wrong_baud is None else wrong_baud.baud
 
     def disturbed(self, data: bytes) -> bytes:
-        """Return the bytes as the line delivers them. A fault can change bytes at random."""
+        """Return the bytes as the line delivers them, as many as were sent.
+
+        During the fault `bad_bytes`, a random fraction of them is replaced.
+        """
         noise = self._acting.largest_share("bad_bytes")
         if not noise:
             return data
@@ -142,7 +148,11 @@ class SerialDevice(ABC):
             self._came(data)
 
     def _came(self, data: bytes) -> None:
-        """Record bytes from the port, and deliver them to the device unless they are lost."""
+        """Record bytes from the port, and deliver them to the device unless they are lost.
+
+        They are lost if the program has set another speed than the device's, or if the device is
+        restarting when they arrive.
+        """
         if self.note is not None:
             self._witness(data)
         if self.port.baud() not in (self.line.speed, None):
@@ -154,7 +164,11 @@ class SerialDevice(ABC):
             self._timeline.at(heard_ns, lambda: None if self.is_down else self.hear(passed))
 
     def _passed(self, data: bytes) -> bytes:
-        """Return bytes as they are delivered. A network drops a datagram that was changed."""
+        """Return bytes as they are delivered, which a fault may have changed.
+
+        For a network, the result is b"" if they were changed, because a damaged datagram is
+        dropped.
+        """
         passed = self.line.disturbed(data)
         is_dropped = passed != data and is_network(self.port.name)
         return b"" if is_dropped else passed
@@ -188,7 +202,10 @@ class SerialDevice(ABC):
         """
 
     def _answer(self, data: bytes) -> None:
-        """Send bytes to the program, after the time that they need on the line."""
+        """Send bytes to the program, after the time that they need on the line.
+
+        They are lost if the device is restarting, or if a fault has changed its speed.
+        """
         come_ns = self.line.to_port.send(len(data))
         if not self.is_down and self.line.speed == self.line.baud:
             passed = self._passed(data)
@@ -287,7 +304,7 @@ class PseudoPort:
         self._far = -1
 
     def plug(self) -> None:
-        """Create the pseudo-terminal and the link to it.
+        """Create the pseudo-terminal and the link to it. If this fails, nothing is left behind.
 
         Raises:
             UsageError: If the link cannot be created.
@@ -318,7 +335,8 @@ class PseudoPort:
     def baud(self) -> int | None:
         """Return the speed that the program has set [bits/s].
 
-        It is 0 if it is unknown. Ports without a speed return None.
+        It is 0 if the port is closed or the speed is unknown. A subclass for a network returns
+        None.
         """
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
@@ -337,13 +355,20 @@ class PseudoPort:
             raise
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the program. Bytes that it does not read are lost, as on a wire."""
+        """Send bytes to the program. Bytes that it does not read are lost, as on a wire.
+
+        They are also lost if the port is not plugged in.
+        """
         if self.fd >= 0:
             with suppress(BlockingIOError):
                 os.write(self.fd, data)
 
     def _make_link(self, target: str) -> None:
-        """Create the link to the terminal, and replace a link that a killed emulation has left."""
+        """Create the link to the terminal, and replace a link that a killed emulation has left.
+
+        Raises:
+            UsageError: If another file has this name, or if the link cannot be created.
+        """
         if _left_over(self.link):
             self.link.unlink()
         try:

@@ -153,7 +153,7 @@ class PoseStream(PoseCamera):
         return {"frames": self.frames}
 
     def _asked(self) -> None:
-        """Report a client when a program has written to the port."""
+        """Report a client if a program has written to the port. What it wrote is ignored."""
         if self.port.read():
             self._stage.client(self.port.name)
 

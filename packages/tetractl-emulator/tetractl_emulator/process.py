@@ -57,7 +57,10 @@ class Process:
         self._ports = ports
 
     def signal(self, name: str) -> None:
-        """Send the process a signal. The name is without "SIG"."""
+        """Send a signal to the process that has locked the port. The name is without "SIG".
+
+        Nothing happens if there is no such process.
+        """
         self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
 
     def stop(self, on: bool) -> None:
@@ -80,7 +83,10 @@ class Process:
         """Do nothing, because the emergency-stop key of another process cannot be pressed."""
 
     def _act(self, act: Callable[[int], object]) -> None:
-        """Call a function with the id of the process that has locked the port, if there is one."""
+        """Call a function with the id of the process that has locked the port.
+
+        Nothing happens if there is none, or if the function raises OSError.
+        """
         with suppress(OSError):
             if pid := holder(self._lab.port):
                 act(pid)
@@ -140,7 +146,10 @@ class ThisProcess(Process):
         """Do nothing: the clock stops this process while the fault acts."""
 
     def fill_disk(self) -> None:
-        """Make the next write of the log fail with "no space left"."""
+        """Make the next write of the log fail with "no space left".
+
+        The disk itself is not filled.
+        """
         self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
 
     def press_stop(self) -> None:

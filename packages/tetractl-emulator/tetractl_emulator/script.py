@@ -23,7 +23,10 @@ from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
-    """Parse a fault. The mapping's key `fault` names its kind."""
+    """Parse a fault. The mapping's key `fault` names its kind. A `Fault` is returned as it is.
+
+    PydanticCustomError is raised if no device of the lab has this kind of fault.
+    """
     if isinstance(value, Fault):
         return value
     kinds = _sides(info).faults
@@ -174,7 +177,10 @@ def _sides(info: ValidationInfo) -> Sides:
 
 
 def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecProblem:
-    """Convert a validation error to a problem with a line and a message."""
+    """Convert a validation error to a problem with a line and a message.
+
+    The problem is not raised.
+    """
     loc = tuple(details["loc"])
     for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
         if details["type"] == "extra_forbidden" and loc[:-1] == ("emulation", name):

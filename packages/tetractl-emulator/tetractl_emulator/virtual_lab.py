@@ -101,7 +101,10 @@ class LabClock(VirtualClock):
             self._step_to(self._now + passed)
 
     def _step_to(self, true_ns: int) -> None:
-        """Advance to a true time [ns], and call the functions of one step."""
+        """Advance to a true time [ns], and call the functions of one step.
+
+        While a fault suspends our process, only the emulation advances.
+        """
         self._now = true_ns
         if self._timeline is not None:
             self._timeline.run_to(true_ns)
@@ -134,11 +137,14 @@ class LiveClock(LabClock):
         return self._host.now()
 
     def sleep_until(self, when: int) -> None:
-        """Wait until the time `when` [ns]."""
+        """Wait until the time `when` [ns]. Return at once if it has passed."""
         self._host.sleep_until(when)
 
     def start(self) -> Callable[[], None]:
-        """Start the thread that makes the steps, and return a function that stops it."""
+        """Start the thread that makes the steps, and return a function that stops it.
+
+        That function waits for the thread to end, at most two seconds.
+        """
         ended = threading.Event()
 
         def run() -> None:
@@ -220,7 +226,7 @@ def started(
 
 
 def outlive(emulation: EmulatedLab) -> None:
-    """Let an emulated lab continue for a moment after our side has ended, then close it."""
+    """Let an emulated lab continue for AFTER_NS after our side has ended, then close it."""
     _loop_of(emulation).poll()
     emulation.timeline.run_to(emulation.timeline.now_ns + AFTER_NS)
     emulation.close()

@@ -238,7 +238,10 @@ class BusyPlant(LabPlant):
         return replace(info, facts={**info.facts, **self._halves})
 
     def send(self, action: Action) -> Command:
-        """Let the computing time of a `busy` fault pass, then send an action."""
+        """Let the computing time of a `busy` fault pass, then send an action.
+
+        No time passes before the first observation. A fault acts only on every `every`-th action.
+        """
         from tetractl_emulator.virtual_lab import LabClock
 
         assert isinstance(self.clock, LabClock), "the section returned it"

@@ -107,21 +107,24 @@ class EmulatedRadio(RobotRadio):
                 self._answer(encode(at_response(content[1], command, value)))
 
     def _witness(self, data: bytes) -> None:
-        """Record the commands in bytes that were read from the port."""
+        """Record the commands in bytes that were read from the port. Other contents are ignored."""
         for content in self._witnessed.feed(data):
             if not content.startswith(BROADCAST):
                 continue
             self._note_commands(self._splitter.feed(content[len(BROADCAST) :]))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        """Decode a command for the record: its sequence number, flags and wheel counts."""
+        """Decode a command for the record: its sequence number, flags and wheel counts.
+
+        WireError is raised if it is damaged.
+        """
         command = decode_command(sealed)
         flags = int(command.flags)
         wheels = command.wheels
         return {"sequence": command.sequence, "flags": flags, "wheels": wheels}
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Transmit an emergency stop, as if from another program."""
+        """Transmit an emergency stop with this sequence number, as if from another program."""
         self._transmit(encode_command(BroadcastCommand(sequence, Flag.EMERGENCY_STOP)))
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
@@ -153,12 +156,18 @@ class EmulatedRadio(RobotRadio):
         return self._air_ns
 
     def _transmit(self, payload: bytes) -> None:
-        """Broadcast a payload to all robots."""
+        """Broadcast a payload to all robots.
+
+        They receive it after the times that it needs on the air and on their serial lines.
+        """
         size = len(payload)
         self.pass_on(payload, self._take_air(size) + uart_ns(size, ROBOT_BAUD))
 
     def _reply(self, payload: bytes) -> None:
-        """Transmit a robot's answer to the PC, up to four times until one attempt is not lost."""
+        """Transmit a robot's answer to the PC, up to four times until one attempt is not lost.
+
+        If all attempts are lost, the PC gets no answer.
+        """
         for _ in range(4):
             arrives = self._take_air(len(payload))
             self._air_ns += ACK_NS

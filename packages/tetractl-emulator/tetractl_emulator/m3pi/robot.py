@@ -52,7 +52,7 @@ class Program(Protocol):
         ...
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the bytes to send now. Each reply is returned once."""
+        """Return the bytes to send now, or b"" if there are none. Each reply is returned once."""
         ...
 
     def set_battery(self, battery_mv: int) -> None:
@@ -115,7 +115,10 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels stand still, or turn more slowly than a camera could detect."""
+        """Whether both wheels stand still, or turn more slowly than STANDING_MM_S [mm/s].
+
+        A camera could not detect such a slow motion.
+        """
         return max(map(abs, self.wheels)) < STANDING_MM_S
 
     def hear(self, data: bytes) -> None:
@@ -128,7 +131,10 @@ class EmulatedRobot:
             self.core.push(data, self._now_ms)
 
     def _battery_mv(self) -> int:
-        """Return the battery's voltage at the present load [mV]."""
+        """Return the battery's voltage at the present load [mV].
+
+        During the fault `low_battery`, it is the voltage of the fault.
+        """
         low = self.acting.newest("low_battery", self.name)
         if low is not None:
             return low.millivolts
@@ -164,7 +170,7 @@ class EmulatedRobot:
         return counts if veer is None else veer.counts
 
     def speed_fraction(self, wheel: str) -> float:
-        """Return the fraction of the commanded speed at which a wheel turns.
+        """Return the fraction of the commanded speed at which a wheel turns: 1 unless a fault acts.
 
         Args:
             wheel: "left" or "right".
@@ -177,19 +183,25 @@ class EmulatedRobot:
         return min((fault.share for fault in weak if fault.wheel in (wheel, "both")), default=1.0)
 
     def switch(self, on: bool) -> None:
-        """Switch the robot on or off. Switching it on restarts its program."""
+        """Switch the robot on or off.
+
+        Switching it on restarts its program, even if it was on before.
+        """
         self.powered = on
         if on:
             self._switched_on_ms = self.robots.now_ms
             self.core = self._make_core(self.index)
 
     def renumber(self, index: int) -> None:
-        """Replace the robot's firmware with one that was built for another index."""
+        """Replace the robot's firmware with one that was built for another index.
+
+        The new program has already run for ON_MS.
+        """
         self.index = index
         self.core = self._core_of_long_ago()
 
     def _core_of_long_ago(self) -> Program:
-        """Create a program that has already run for ON_MS."""
+        """Create a program for the robot's present index that has already run for ON_MS."""
         core = self._make_core(self.index)
         core.wheels(ON_MS)
         return core

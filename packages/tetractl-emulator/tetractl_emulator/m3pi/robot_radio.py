@@ -59,7 +59,10 @@ class RobotRadio(SerialDevice):
         return max(self._loss, self.acting.largest_share("loss"), deaf)
 
     def late_ns(self) -> int:
-        """Sample the additional delay of a transmission [ns], which faults cause."""
+        """Sample the additional delay of a transmission [ns], which faults cause.
+
+        It is 0 if no such fault acts.
+        """
         late_s = self.acting.total_by("late_radio")
         for fault in self.acting.of_kind("overtaken_packets"):
             late_s += self._random.uniform(0, fault.by)

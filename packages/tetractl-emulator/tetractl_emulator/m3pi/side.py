@@ -65,7 +65,10 @@ class M3piSettings(Model):
 
 
 def _renumber(fault: Any, device: Any) -> Undo:
-    """Begin the fault `wrong_id`: replace the robot's firmware with one for another index."""
+    """Begin the fault `wrong_id`: replace the robot's firmware with one for another index.
+
+    It returns a function that restores the index.
+    """
     robot = device.robot(fault.robot)
     undo = partial(robot.renumber, robot.index)
     robot.renumber(fault.id)
@@ -142,7 +145,10 @@ def _wheels(
     trues: Sequence[TrueRobot],
     robots: Sequence[EmulatedRobot],
 ) -> EmulatedRobots:
-    """Create the moving robots, with the true properties of their wheels."""
+    """Create the moving robots, in the setup's order, with the true properties of their wheels.
+
+    A property that the script does not state comes from the spec.
+    """
     parts = []
     for true in trues:
         names = ("left", "right", "swap", "radius_mm")

@@ -80,7 +80,7 @@ class WheeledSide(PluggedDevices):
 
     @property
     def driven(self) -> bool:
-        """Whether any motor has a count other than 0."""
+        """Whether any motor of any robot has a count other than 0 at present."""
         return any(any(robot.counts()) for robot in self.robots)
 
     @property
@@ -110,11 +110,14 @@ class WheeledSide(PluggedDevices):
             radio.poll_answers()
 
     def robot(self, name: str) -> EmulatedRobot:
-        """Return the robot with this name."""
+        """Return the robot with this name, which must exist."""
         return next(robot for robot in self.robots if robot.name == name)
 
     def push(self, fault: Any) -> None:
-        """Displace a robot as the fault `pushed` specifies, in small steps or at once."""
+        """Displace a robot as the fault `pushed` specifies, in small steps or at once.
+
+        In small steps, the displacement takes PUSH_NS.
+        """
         row = self.robot(fault.robot).row
         parts = 1 if fault.at_once else PUSH_PARTS
         x, y, turn = (value / parts for value in (*fault.by, fault.turn))
@@ -153,7 +156,7 @@ class WheeledSide(PluggedDevices):
         return end
 
     def stop_elsewhere(self) -> None:
-        """Send ten emergency stops to the robots, as if from another program."""
+        """Schedule ten emergency stops for the robots from now on, as if from another program."""
         for k in range(STOPS):
             for radio in self.radios:
                 at_ns = self.timeline.now_ns + k * STOP_GAP_NS
@@ -280,7 +283,10 @@ class PortedSide(WheeledSide):
 
 
 def _swap_numbers(fault: Any, device: Any) -> Undo:
-    """Begin the fault `swapped_numbers`: exchange the indices of two robots' firmware."""
+    """Begin the fault `swapped_numbers`: exchange the indices of two robots' firmware.
+
+    It returns a function that exchanges them back.
+    """
 
     def swap() -> None:
         first = device.robot(fault.robot)

@@ -104,7 +104,10 @@ def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 
 
 
 def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
-    """Encode the suffix of a frame: exposure time and parameters. All other times are 0."""
+    """Encode the suffix of a frame: exposure time and parameters. All other times are 0.
+
+    An unknown exposure time is 0 as well.
+    """
     layout = layout_of(version)
     times = [0] * (len(layout.suffix.format) - 3)
     if layout.timed:
@@ -152,7 +155,7 @@ def _packed_body(name: str, number: int, version: natnet.Version, markers: int) 
 
 
 def mangle(datagram: bytes, chance: Random) -> bytes:
-    """Damage a datagram at random.
+    """Return a copy of a datagram that is damaged in one of five random ways.
 
     It is truncated, extended, replaced by noise, or one of its fields is changed.
     """

@@ -120,7 +120,10 @@ class PoseCamera(ABC):
         self._plan()
 
     def _delay_s(self) -> float:
-        """Sample the time from an exposure until its frame is sent [s]."""
+        """Sample the time from an exposure until its frame is sent [s].
+
+        It consists of the latency, a random jitter, and the delays of acting faults.
+        """
         jitter = self._random
         normal_s = jitter.gauss(0, JITTER_S)
         delay_s = self._latency_s + min(max(normal_s, -4 * JITTER_S), 4 * JITTER_S)
@@ -153,7 +156,10 @@ class PoseCamera(ABC):
         self._stage.sent(exposure_number)
 
     def _expose(self) -> tuple[RigidBody, ...]:
-        """Return the rigid bodies as the camera reports them now."""
+        """Return the rigid bodies as the camera reports them now.
+
+        Bodies that are not streamed are left out.
+        """
         view = self.view.exposed(self.acting.of_kind("picture"))
         numbers = {body.robot.name: body.asset.number for body in self.tracked}
         bodies = {body.robot.name: body.expose(view) for body in self.tracked}

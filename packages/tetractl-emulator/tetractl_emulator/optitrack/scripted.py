@@ -101,7 +101,10 @@ EXPOSED = Visible.EXPOSED
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
-    """Begin the fault `clock_rate`: let the server's clock run faster or slower."""
+    """Begin the fault `clock_rate`: let the server's clock run faster or slower from now on.
+
+    It returns a function that ends this, so the clock then jumps back.
+    """
     since_ns = device.timeline.now_ns
 
     def gained_ns(when_ns: int) -> int:

@@ -227,7 +227,10 @@ class EmulatedOptitrack(PoseCamera):
     def _answer(
         self, message: natnet.ClientMessage, sender: Address, now_ns: int
     ) -> natnet.ServerMessage | None:
-        """Return the answer to a message. None if the server sends no answer."""
+        """Return the answer to a message. None if the server sends no answer.
+
+        A disconnect ends the client's registration, and any other message renews it.
+        """
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:
@@ -251,7 +254,11 @@ class EmulatedOptitrack(PoseCamera):
         return None
 
     def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
-        """Register a client. With NatNet 4.0 or later, a unicast client may choose the version."""
+        """Register a client. In multicast, only its first contact is recorded.
+
+        With NatNet 4.0 or later, a unicast client may choose a version that is not newer than the
+        server's.
+        """
         if sender not in self.greeted:
             self.greeted.add(sender)
             self._stage.client(f"{sender[0]}:{sender[1]}")

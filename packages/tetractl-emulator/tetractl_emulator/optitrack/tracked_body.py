@@ -63,7 +63,7 @@ class View:
         return picture
 
     def _change(self, fault: Any) -> None:
-        """Apply the transformation of a fault."""
+        """Apply the transformation of a fault on top of the present one."""
         self.shift += complex(*fault.by)
         self.grown *= fault.scale
         self.turned += fault.turn
@@ -210,7 +210,10 @@ class TrackedBody:
             self.strayed_turn += ghost.turn
 
     def _new_pose(self, view: View) -> RigidBody:
-        """Return the rigid body at its robot's pose, displaced by faults and with noise."""
+        """Return the rigid body at its robot's pose, displaced by faults and with noise.
+
+        The pose is converted to the coordinates of `view`.
+        """
         robot = self.robot
         acting = self.acting
         away_mm = self.shift + self.strayed

@@ -113,7 +113,10 @@ class CurrentDriver(SerialDevice):
         self._timeline.at(self._due_ns, lambda: self._receive(data))
 
     def _receive(self, data: bytes) -> None:
-        """Pass bytes to the firmware's core, and send its replies."""
+        """Pass bytes to the firmware's core, and send its replies.
+
+        Bytes are lost if the driver is switched off. During the fault `mute`, replies are lost.
+        """
         if not self.powered:
             return
         for byte in data * (2 if self.acting.of_kind("doubled_commands") else 1):
@@ -123,7 +126,10 @@ class CurrentDriver(SerialDevice):
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
-        """Advance the currents in steps of 1 ms, up to the time `until_ns` [ns]."""
+        """Advance the currents in steps of 1 ms, up to the time `until_ns` [ns].
+
+        A rest of less than 1 ms is left for the next call.
+        """
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
             self._step()
@@ -135,14 +141,20 @@ class CurrentDriver(SerialDevice):
             self._core = DriverCore(self._limits, self._now_ms)
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        """Decode a command for the record: its sequence number, flags and currents [mA]."""
+        """Decode a command for the record: its sequence number, flags and currents [mA].
+
+        WireError is raised if it is damaged.
+        """
         command = decode_command(sealed)
         flags = int(command.flags)
         currents = [command.x_ma, command.y_ma]
         return {"sequence": command.sequence, "flags": flags, "currents_ma": currents}
 
     def _step(self) -> None:
-        """Advance the currents by 1 ms, and pass the measured values to the core."""
+        """Advance the currents by 1 ms, and pass the measured values to the core.
+
+        If the driver is switched off, the currents decay to 0.
+        """
         wished = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
         x, y = (
             wish / 1e6 + self._keep * (before - wish / 1e6)
@@ -193,12 +205,18 @@ def _row(fault: Any, device: Any) -> int:
 
 
 def _dives(fault: Any, device: Any) -> None:
-    """Begin the fault `dives`: move a cell out of the focal plane."""
+    """Begin the fault `dives`: move a cell by `by_um` [um] out of the focal plane.
+
+    Nothing undoes it when the fault ends, because the cell returns by itself within seconds.
+    """
     device.dish.cells.depth[_row(fault, device)] += fault.by_um
 
 
 def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
-    """Return the switch with which a cell stops or resumes swimming, for the fault `rests`."""
+    """Return the switch with which the cell of a fault `rests` stops or resumes swimming.
+
+    It stops with True, and resumes with False.
+    """
     row = _row(fault, device)
     return lambda resting: device.dish.cells.set_resting(row, resting)
 

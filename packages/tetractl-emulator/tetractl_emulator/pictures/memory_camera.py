@@ -70,7 +70,7 @@ class MemoryCamera:
         return self._parts.damaged
 
     def join(self, take: Callable[[bytes], None]) -> Self:
-        """Start to pass each image, a JPEG file, to a function.
+        """Start to pass each image, a JPEG file, to a function, in place of an earlier one.
 
         Returns:
             The camera itself, as the feed.
@@ -80,7 +80,7 @@ class MemoryCamera:
         return self
 
     def interrupt(self) -> None:
-        """Stop passing images."""
+        """Stop passing images. `join` can start it again."""
         self._take = None
 
     def _step(self) -> None:
@@ -91,7 +91,10 @@ class MemoryCamera:
             self._deliver(self._wire.popleft())
 
     def _expose(self, now_ns: int) -> None:
-        """Queue the next image if its exposure has ended."""
+        """Queue the next image if its exposure has ended.
+
+        It is skipped if nobody reads the images, or if a fault withholds it.
+        """
         stream = self._stream
         exposed_ns = self._start_ns + stream.middle_ns(self._next)
         if now_ns < exposed_ns + stream.half_ns:

@@ -83,7 +83,7 @@ class PictureStream:
         self._newest = b""  # the last part, before faults spoil it
 
     def middle_ns(self, number: int) -> int:
-        """Return the time from entering the camera to the middle of an image's exposure [ns]."""
+        """Return the time from the camera's start to the middle of an image's exposure [ns]."""
         return round(number * SECOND / self.rate_hz)
 
     @property
@@ -98,7 +98,10 @@ class PictureStream:
         return slow or bool(self._acting.of_kind("no_frames"))
 
     def drawn_part(self, exposed_ns: int) -> DuePart:
-        """Draw the image of an exposure, and return it as a part of the stream."""
+        """Draw the image of an exposure, and return it as a part of the stream.
+
+        The result states when it is due to be sent, after the present latency.
+        """
         drawn = part(coded(self._draw(exposed_ns)))
         return DuePart(exposed_ns + self.latency_ns, exposed_ns, drawn)
 
@@ -195,7 +198,7 @@ class EmulatedNetworkCamera:
             thread.join()
 
     def _expose(self) -> None:
-        """Expose images until the camera closes."""
+        """Expose images until the camera closes. Images are skipped if drawing takes too long."""
         stream = self._stream
         start_ns = self._clock.now()
         number = 0
@@ -216,7 +219,10 @@ class EmulatedNetworkCamera:
                     client.put_nowait(due)
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
-        """Send images to a client until it disconnects or the camera closes."""
+        """Send images to a client until it disconnects or the camera closes.
+
+        Each image is sent when its latency has passed.
+        """
         waiting = queue.Queue[DuePart](WAITING_MAX)
         with self._lock:
             self._clients.add(waiting)

@@ -251,7 +251,10 @@ class StreamedCamera(ABC):
         """Return the present scene as an array that can be interpolated in time."""
 
     def _visible_now(self) -> Sequence[bool]:
-        """Check for each body whether it is visible, neither carried nor covered."""
+        """Check for each body whether it is visible, neither carried nor covered.
+
+        The order is that of the actuator's bodies.
+        """
         covered = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
         carried = self._stage.acting.carried
         return [not carried and body.name not in covered for body in self._bodies]
@@ -301,13 +304,16 @@ class StreamedCamera(ABC):
         return
 
     def _taken(self, exposed_ns: int) -> Grey:
-        """Draw the image of an exposure. In memory, also record what it shows."""
+        """Draw the image of an exposure at a time [ns]. In memory, also record what it shows."""
         if self._shown is not None:
             self._shown.expose(exposed_ns, self._visible_now())
         return self._draw(exposed_ns)
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time [ns] on the camera's clock."""
+        """Return the scene at a time [ns] on the camera's clock.
+
+        It is interpolated between the stored scenes.
+        """
         return self._history.at(self._start_ns + t_ns)
 
     def _remember(self) -> None:

@@ -64,7 +64,10 @@ class DayOutcome:
 
     @property
     def digest(self) -> str:
-        """A hash of all true events. It is the same each time the plan is run."""
+        """A hash of all true events, 16 hexadecimal digits.
+
+        It is the same each time the plan is run.
+        """
         events = json.dumps(self.events).encode()
         return hashlib.sha256(events).hexdigest()[:16]
 
@@ -153,7 +156,10 @@ def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
 
 
 def _limit_processor_time() -> None:
-    """Limit the processor time of this process, in case its parent process is gone."""
+    """Limit the processor time of this process, in case its parent process is gone.
+
+    Beyond HANGS_S + STILL_S, the system kills it.
+    """
     most_s = round(HANGS_S + STILL_S)
     resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
 
@@ -183,7 +189,7 @@ class Census:
         self._blocks = sys.getallocatedblocks()
 
     def new_modules(self) -> list[str]:
-        """Return the names of the modules that were imported since the snapshot."""
+        """Return the names of the modules imported since the snapshot, in the order of import."""
         return [name for name in sys.modules if name not in self._modules]
 
     def left_behind(self) -> list[str]:
@@ -201,7 +207,7 @@ class Census:
 
 
 def _open_files() -> set[str]:
-    """Return the number and name of each open file of this process."""
+    """Return "NUMBER TARGET" for each open file of this process. Empty without /proc."""
     names = set[str]()
     for entry in Path("/proc/self/fd").glob("*"):
         try:
@@ -212,7 +218,10 @@ def _open_files() -> set[str]:
 
 
 def processor_time_s(pid: int) -> float:
-    """Return the processor time that a process has used [s]."""
+    """Return the processor time that a process has used [s], in user and system mode.
+
+    FileNotFoundError is raised if there is no such process.
+    """
     stat = Path(f"/proc/{pid}/stat").read_text()
     fields = stat.rpartition(")")[2].split()  # after the program's name
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -67,7 +67,10 @@ class DayPlan:
         return sorted(self.faults, key=lambda fault: fault["at"])
 
     def script(self) -> dict[str, Any]:
-        """Return the plan as a script for an emulated lab."""
+        """Return the plan as a script for an emulated lab.
+
+        Its faults are in the order of their times.
+        """
         drawn = self.faults_in_order
         faults = [{key: value for key, value in fault.items() if key not in OWN} for fault in drawn]
         about = ", ".join(dict.fromkeys(fault["kind"] for fault in drawn)) or "no fault"
@@ -76,7 +79,10 @@ class DayPlan:
 
 
 def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
-    """Return the variants of all faults that a lab can have."""
+    """Return the variants of all faults that a lab can have.
+
+    Faults that concern a second robot are left out for a single robot.
+    """
     sides = Sides.of_types(lab.camera.type, lab.actuator.type)
     rows = [row for kind in sides.faults.values() for row in kind.rows]
     return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
@@ -237,7 +243,10 @@ def _fault(
 def _placed(
     random: Random, names: Sequence[str], starts: Poses, near: float
 ) -> list[dict[str, Any]]:
-    """Sample true starts of the robots, within `near` [length unit] of their starts in the spec."""
+    """Sample true starts of the robots, within `near` [length unit] of their starts in the spec.
+
+    Headings differ by up to 0.05 rad.
+    """
     placed = []
     for name, (x, y, heading) in zip(names, starts.array().tolist(), strict=True):
         off = random.uniform(0, near)

@@ -124,7 +124,7 @@ The robot's watchdog then has to stop it.
 
 
 def violations(truth: Truth) -> list[Violation]:
-    """List the violations of all invariants in a test run with robots."""
+    """List the violations of all invariants in a test run with robots. Empty if it has none."""
     return [violation for invariant in INVARIANTS for violation in invariant(truth)]
 
 
@@ -227,7 +227,10 @@ def _first_seldom_shown(truth: Truth) -> Violation | None:
 
 
 def _may_be_driven(truth: Truth) -> Bools:
-    """Find the exposures at which the guard lets robots be driven, shape (T,)."""
+    """Find the exposures at which the guard lets robots be driven, shape (T,).
+
+    An interval includes its start, but not its end.
+    """
     may_drive = np.zeros(len(truth.times_s), bool)
     for span in truth.driven_spans:
         may_drive |= (truth.times_s >= span.began_s) & (truth.times_s < span.ended_s)
@@ -315,7 +318,10 @@ def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
 
 
 def _no_command_drives(truth: Truth) -> Iterator[Violation]:
-    """Check that no command drives robots after the end, unless it is replaced in `TRANSIT_S`."""
+    """Check that no command drives robots after the end, unless it is replaced within TRANSIT_S.
+
+    Only the first violation is yielded.
+    """
     for command, acts_s in zip(truth.commands, truth.acting_s.tolist(), strict=True):
         if time_s(command) > truth.ended_s and acts_s > TRANSIT_S and any(truth.drives(command)):
             yield _unrest(time_s(command), "a command drives")
@@ -497,7 +503,11 @@ def _rolls_on_s(truth: Truth) -> Floats:
 
 
 def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Iterator[Violation]:
-    """Yield the worst violation of a limit, among these robots or pairs of robots."""
+    """Yield the worst violation of a limit, among these robots or pairs of robots.
+
+    `beyond_mm` (T, number of names) is how far each is beyond the limit at each exposure [mm].
+    Nothing is yielded if none is above 0.
+    """
     if (beyond_mm > 0).any():
         row, i = np.unravel_index(int(beyond_mm.argmax()), beyond_mm.shape)
         finding = f"{names[int(i)]}: {beyond_mm[row, i]:.0f} mm beyond what is allowed"
@@ -641,7 +651,10 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
 
 
 def _result_is_true(truth: Truth) -> Iterator[Violation]:
-    """Check that no error in the result of a complete trial is wrong by more than `RESULT_MM`."""
+    """Check that no error in the result of a complete trial is wrong by more than RESULT_MM.
+
+    A trial without a log or result is not checked.
+    """
     log = truth.trial
     if log is None or log.result is None or not log.result.outcome.complete:
         return

@@ -18,7 +18,10 @@ FAULTY = ("other_version", "edit_mode", "twin_id", *MUTE)  # frames that are sho
 
 
 def logged(truth: Truth) -> Iterator[Violation]:
-    """Yield each contradiction between a complete log and what truly happened."""
+    """Yield each contradiction between a complete log and what truly happened.
+
+    A log that is missing, damaged or without a result is not checked.
+    """
     log = truth.trial
     if log is None or log.result is None or log.damage is not None:
         return
@@ -31,7 +34,7 @@ def logged(truth: Truth) -> Iterator[Violation]:
 
 
 def _commands(truth: Truth) -> Iterator[Violation]:
-    """Check that the log has exactly the commands that were sent."""
+    """Check that the log has exactly the commands that were sent. Yield the first violation."""
     assert truth.trial is not None
     logged_s = np.array([command.sent_ns for command in truth.trial.commands]) / 1e9
     for command in truth.trial.commands:
@@ -85,7 +88,11 @@ def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> boo
 
 
 def _whole(truth: Truth, rows: list[int]) -> Iterator[Violation]:
-    """Check that a frame is missing from the log only if the camera showed no robot in it."""
+    """Check that a frame is missing from the log only if the camera showed no robot in it.
+
+    `rows` are the exposures of the logged frames, in order. Only the first gap is yielded, and gaps
+    of up to FRAMES exposures are allowed.
+    """
     for row, next_row in pairwise(rows):
         if next_row <= row + FRAMES:
             continue

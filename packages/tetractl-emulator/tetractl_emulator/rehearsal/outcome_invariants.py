@@ -107,7 +107,7 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
 
 
 def _wrong_end(finding: str, at_s: float = 0.0) -> Violation:
-    """Create a violation of the invariant on exit codes."""
+    """Create a violation of the invariant on exit codes, at a time [s]."""
     return Violation("exit code", at_s, finding)
 
 

@@ -76,13 +76,16 @@ def table(rows: Sequence[DayRow]) -> str:
 
 
 def reasons(rows: Sequence[DayRow]) -> str:
-    """List the ten most frequent reasons for which test runs were refused or aborted."""
+    """List the ten most frequent reasons for which test runs were refused or aborted, one per line.
+
+    Reasons that differ only in their numbers are counted together.
+    """
     why = Counter(re.sub(r"\d+(\.\d+)?", "…", row["reason"]) for row in rows if row["reason"])
     return "\n".join(f"{n} {plural('day', n)}: {reason}" for reason, n in why.most_common(10))
 
 
 def summary(rows: Sequence[DayRow]) -> str:
-    """Describe how the test runs ended, and their mean processor time."""
+    """Describe how the test runs ended, and their mean processor time [s]. 0 for no test run."""
     count = max(len(rows), 1)
     ended = Counter(row["ended"] for row in rows)
     shares = "".join(f"{n} {how} ({n / count:.0%}); " for how, n in ended.most_common())

@@ -140,13 +140,13 @@ class VisibleFault:
 
     @property
     def speed_mm_s(self) -> float:
-        """Speed at which a creeping fault moves a pose at FROM_ORIGIN_MM [mm/s]."""
+        """Speed at which a creeping fault moves a pose at FROM_ORIGIN_MM from the origin [mm/s]."""
         grows_mm = abs(self.fields.get("scale", 1.0) - 1.0) * FROM_ORIGIN_MM
         return (math.hypot(*self.fields.get("by", (0.0, 0.0))) + grows_mm) / FRAME_S
 
     @property
     def rate_rad_s(self) -> float:
-        """Rate at which a creeping fault turns poses [rad/s]."""
+        """Absolute rate at which a creeping fault turns poses [rad/s]."""
         return abs(self.fields.get("turn", 0.0)) / FRAME_S
 
 
@@ -214,12 +214,12 @@ class Truth:
         return by_kind
 
     def events(self, kind: str, **facts: Any) -> list[Event]:
-        """Return the events of a kind that have the given facts."""
+        """Return the events of a kind that have all the given facts, in the order of time."""
         of_kind = self._events_by_kind.get(kind, [])
         return [event for event in of_kind if facts.items() <= event.items()]
 
     def first_s(self, kind: str, **facts: Any) -> float:
-        """Return the time of the first event of a kind with these facts [s], or inf."""
+        """Return the time of the first event of a kind with these facts [s]. inf if none exists."""
         return min(map(time_s, self.events(kind, **facts)), default=np.inf)
 
     # Exposures
@@ -236,7 +236,7 @@ class Truth:
 
     @cached_property
     def poses(self) -> Floats:
-        """True poses at the exposures, shape (T, N, 3) [mm, mm, rad]."""
+        """True poses at the exposures, shape (T, N, 3) [mm, mm, rad], in the spec's axes."""
         poses = np.array([exposure["poses"] for exposure in self.exposures])
         return poses.reshape(-1, len(self.setup.names), 3)
 
@@ -301,7 +301,10 @@ class Truth:
         return np.array([*map(time_s, self.commands)])
 
     def drives(self, command: Event) -> list[bool]:
-        """Return for each robot whether a recorded command lets it drive."""
+        """Return for each robot whether a recorded command lets it drive.
+
+        A command without motor speeds gives an empty list.
+        """
         if "drives" in command:
             return command["drives"]
         may_run = bool(command["flags"] & RUN)
@@ -309,7 +312,7 @@ class Truth:
 
     @cached_property
     def halts_s(self) -> list[float]:
-        """When each command happened that lets no robot drive [s]."""
+        """When each command happened that lets no robot drive [s], in the order of time."""
         return [time_s(command) for command in self.commands if not any(self.drives(command))]
 
     @cached_property
@@ -347,7 +350,11 @@ class Truth:
 
     @cached_property
     def driven_spans(self) -> list[TimeSpan]:
-        """The intervals in which the guard let robots be driven."""
+        """The intervals in which the guard let robots be driven, in the order of time.
+
+        An interval that is still open ends when our process ended. Intervals of no length are left
+        out.
+        """
         spans = list[TimeSpan]()
         began_s: float | None = None
         for event in self.events("guard"):
@@ -414,19 +421,22 @@ class Truth:
         return visible
 
     def faults_of(self, *names: str) -> list[VisibleFault]:
-        """Return the visible faults with one of these names in a script."""
+        """Return the visible faults with one of these names in a script, the earliest first."""
         return [fault for fault in self.faults if fault.name in names]
 
     def robot_of(self, fault: VisibleFault) -> int:
-        """Return the index of the robot that has a fault."""
+        """Return the index of the robot that has a fault, in the order of the spec."""
         return self.setup.names.index(fault.fields["robot"])
 
     def delay_s(self, *names: str) -> float:
-        """Return the total delay that the visible faults with these names cause [s]."""
+        """Return the total delay that the visible faults with these names cause [s].
+
+        All such faults of the test run count, even if they have ended. 0 if there are none.
+        """
         return sum(fault.fields["by"] for fault in self.faults_of(*names))
 
     def met(self, *names: str) -> bool:
-        """Check whether a fault with one of these names became visible."""
+        """Check whether a fault with one of these names became visible during the test run."""
         return bool(self.faults_of(*names))
 
     @cached_property
@@ -441,7 +451,10 @@ class Truth:
 
     @cached_property
     def shown_moving(self) -> list[VisibleFault]:
-        """The visible faults that make a camera show motion clearly, even of stationary robots."""
+        """The visible faults that make a camera show motion clearly, even of stationary robots.
+
+        Empty if the plant cannot halt its robots.
+        """
         return [
             fault
             for fault in (self.creeping if self.halts else ())
@@ -497,7 +510,10 @@ class Truth:
 
     @cached_property
     def longest_delay_s(self) -> float:
-        """Maximum delay of frames [s], because of faults or because they waited to be read."""
+        """Maximum delay of frames [s], because of faults or because they waited to be read.
+
+        It is the sum over all such faults of the test run.
+        """
         late_s = self.delay_s(*LATE_FRAMES)
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
         busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))
@@ -507,7 +523,7 @@ class Truth:
 
     @cached_property
     def log(self) -> TrialLog | str:
-        """The trial's log. If it cannot be read, the error message. Empty if there is no log."""
+        """The trial's log. If it cannot be read, the error message. "" if there is no log."""
         if self.day.log is None:
             return ""
         try:
@@ -517,7 +533,7 @@ class Truth:
 
     @cached_property
     def raw(self) -> RawLog:
-        """The records of the log.
+        """The records of the log, which must exist.
 
         Raises:
             LogError: If the log has no records.
@@ -541,7 +557,10 @@ class Truth:
 
     @cached_property
     def named_at_the_end(self) -> set[str]:
-        """The robots that the run named as still moving, or as not shown to stand still."""
+        """The robots that the run named as still moving, or as not shown to stand still.
+
+        Empty if it named none.
+        """
         named = re.findall(r"(?:still moves|not seen to stand still): ([^:;\n]*):", self.day.output)
         if "the cameras do not show that the robots stand" in self.day.output:
             named.append(", ".join(self.setup.names))
@@ -568,7 +587,10 @@ class Truth:
         return nearest_exposures(self.trial.mocap_ns / SECOND, host_s, suspended)
 
     def _exposures_by_number(self, trial: TrialLog) -> Integers:
-        """Find the exposure of each frame in a log by the frame's number, shape (F,)."""
+        """Find the exposure of each frame in a log by the frame's number, shape (F,).
+
+        UNKNOWN if no exposure has the number. If several have it, the nearest in time counts.
+        """
         numbers = np.array([exposure["frame"] for exposure in self.exposures])
         times_ns = self.times_s * SECOND
         row_of_frame = np.full(len(trial.frames), UNKNOWN)
@@ -619,7 +641,10 @@ class Truth:
 
     @cached_property
     def fresh(self) -> Bools:
-        """Whether the log has a pose of each robot from this exposure, shape (T, N)."""
+        """Whether the log has a pose of each robot from this exposure, shape (T, N).
+
+        False everywhere if there is no log.
+        """
         fresh = np.zeros((len(self.times_s), len(self.setup.names)), bool)
         if self.trial is None:
             return fresh
@@ -630,7 +655,10 @@ class Truth:
 
     @cached_property
     def repeated(self) -> Bools:
-        """Whether an accepted pose equals the previous one in every bit, shape (T, N)."""
+        """Whether a fresh pose equals the pose accepted before it, shape (T, N).
+
+        False at the start.
+        """
         equal = np.zeros(self.fresh.shape, bool)
         equal[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
         return equal & self.fresh

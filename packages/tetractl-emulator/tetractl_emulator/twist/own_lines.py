@@ -43,7 +43,10 @@ class OwnProgram:
         self._heard_ms = 0
 
     def push(self, data: bytes, now_ms: int) -> None:
-        """Process a message. A message that cannot be decoded is ignored."""
+        """Process a message at a time [ms]. A message that cannot be decoded is ignored.
+
+        It does not count for the watchdog either.
+        """
         with suppress(*UNREADABLE):
             self._speeds = self._read(data)
             self._heard_ms = now_ms
@@ -127,11 +130,17 @@ class OwnRadio(LineRadio):
         """Do nothing: such a robot has no emergency stop that another program could send."""
 
     def _split(self, data: bytes) -> list[bytes]:
-        """Return the complete messages in the data, followed by the incomplete rest."""
+        """Return the complete messages in the data, followed by the incomplete rest.
+
+        Each datagram of a network is a complete message. Otherwise, a message is a line.
+        """
         return [data, b""] if self._whole else [line.rstrip() for line in super()._split(data)]
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        """Decode a message for the record: flags, motor speeds, and which robots it drives."""
+        """Decode a message for the record: flags, motor speeds, and which robots it drives.
+
+        WireError is raised if it cannot be decoded.
+        """
         try:
             speeds = self._side.read(sealed, self._row)
         except UNREADABLE as error:

@@ -53,7 +53,10 @@ class LineRadio(RobotRadio):
             self.pass_on(line + self.end, self._timeline.now_ns + DELAY_NS)
 
     def _split(self, data: bytes) -> list[bytes]:
-        """Return the complete lines in the data, followed by the incomplete rest."""
+        """Return the complete lines in the data, followed by the incomplete rest.
+
+        Their ends are removed. The rest is b"" if the data ends with a line.
+        """
         return data.split(b"\n")
 
     def stop_elsewhere(self, sequence: int) -> None:
@@ -72,7 +75,10 @@ class LineRadio(RobotRadio):
         self.hear(encode_command(LineCommand("W", sequence, Flag.RUN, entries)))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        """Decode a command for the record: sequence, flags, entries, and which robots it drives."""
+        """Decode a command for the record: sequence, flags, entries, and which robots it drives.
+
+        WireError is raised if it is damaged.
+        """
         command = decode_command(sealed)
         driven = [index for index, *speeds in command.entries if any(speeds)]
         drives = [command.flags & Flag.RUN and index in driven for index in self._indices]

@@ -96,7 +96,10 @@ class Optics:
         raise ValueError("the camera cannot see all floor tags in one image")
 
     def centred(self, corners: Floats) -> Self:
-        """Return this camera, turned so that points (M, 3) [m] are centred in its image."""
+        """Return a copy of this camera, turned so that points (M, 3) [m] are centred in its image.
+
+        Its position stays the same, and it looks at a point of the floor.
+        """
         camera = self
         position = np.array(self.position)
         for _ in range(8):
@@ -129,7 +132,7 @@ class Optics:
         return np.array([right, np.cross(forward, right), forward])
 
     def project(self, points: Floats) -> Floats:
-        """Project points (M, 3) [m] to pixels (M, 2), without distortion."""
+        """Project points (M, 3) [m] to pixels (M, 2), column and row, without distortion."""
         in_camera = (points - np.array(self.position)) @ self.axes.T
         return (in_camera[:, :2] / in_camera[:, 2:]) * self.focal_px + self.matrix[:2, 2]
 
@@ -220,7 +223,11 @@ class Renderer:
     def _card(
         self, position: tuple[float, float], height_mm: float, heading: float, side_mm: float
     ) -> Floats:
-        """Project the corners of a card at a position, height, heading and side length."""
+        """Project the corners of a card to pixels (4, 2).
+
+        `position` is in length units of the spec, and `heading` in rad. `side_mm` is the side of
+        the tag without its white margin.
+        """
         half = side_mm * MM * CARD / MODULES / 2
         square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
         cos = math.cos(heading)
@@ -249,7 +256,10 @@ class Renderer:
         self._stamp(canvas, texture(tag.tag), [corners])
 
     def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
-        """Draw a card on the canvas, averaged over its positions during the exposure."""
+        """Draw a card on the canvas, averaged over its positions during the exposure.
+
+        Each position is given by the four corners [px]. A part outside the canvas is left out.
+        """
         corners = np.concatenate(exposures)
         first = np.floor(corners.min(axis=0)).astype(int)
         last = np.ceil(corners.max(axis=0)).astype(int)
@@ -272,7 +282,10 @@ class Renderer:
         part += ink[..., 0]
 
     def _finished(self, canvas: Shades) -> Grey:
-        """Apply distortion, blur, noise and gain to an image."""
+        """Apply distortion, blur, noise and gain to an image, and round it to grey levels.
+
+        Grey levels are limited to 0 to 255.
+        """
         optics = self.optics
         if any(optics.distortion):
             cv2.remap(canvas.copy(), *self._bent, cv2.INTER_LINEAR, canvas, borderValue=FLOOR)
@@ -377,7 +390,10 @@ class EmulatedAprilTag(StreamedCamera):
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
 
     def _draw(self, exposed_ns: int) -> Grey:
-        """Render the image of an exposure."""
+        """Render the image of an exposure at a time [ns].
+
+        Robots that are carried or covered have no tag.
+        """
         tags = zip(self.renderer.robots, self._visible_now(), strict=True)
         self.renderer.hidden = {robot.tag for robot, is_visible in tags if not is_visible}
         return self.renderer.picture(lambda t: Poses.from_array(self._scene_at(t)), exposed_ns)

@@ -33,7 +33,7 @@ class CoilField:
 
     @property
     def coils(self) -> CoilsSection:
-        """The coils with the changes by the faults that act now."""
+        """The coils of the spec, with the changes by the faults that act now."""
         coils = self._section
         for fault in self._acting.of_kind("weak_coils"):
             pair: CoilPair = getattr(coils, fault.axis)
@@ -115,7 +115,10 @@ class Dish:
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
-        """Divide the cell with this index. The daughter becomes the last cell."""
+        """Divide the cell with this index.
+
+        The daughter becomes the last cell, so no index changes.
+        """
         self.cells = self.cells.divide(row, self._random)
 
     @property
@@ -124,7 +127,11 @@ class Dish:
         return self.field.field_mt(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
-        """Advance the driver and the cells in steps of 1 ms, up to the time `until_ns` [ns]."""
+        """Advance the driver and the cells in steps of 1 ms, up to the time `until_ns` [ns].
+
+        Cells that rest start to swim again when the driver starts. A rest of less than 1 ms is left
+        for the next call.
+        """
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
             self.driver.advance(self._now_ns)
@@ -173,7 +180,7 @@ class CellBody:
 
     @property
     def standing(self) -> bool:
-        """Whether the driver makes no field to steer the cell."""
+        """Whether the driver makes no field to steer the cell, although the cell may swim on."""
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:

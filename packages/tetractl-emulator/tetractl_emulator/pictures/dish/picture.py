@@ -155,7 +155,10 @@ class DishPainter:
         self._shade: Shades | None = None
 
     def change(self, look: PictureLook) -> None:
-        """Set the properties of the images that are drawn next."""
+        """Set the properties of the images that are drawn next.
+
+        Size and noise must stay the same, because the noise is sampled only once.
+        """
         if look != self.look:
             self.look = look
             self._still = None
@@ -221,7 +224,10 @@ class DishPainter:
         return self._still
 
     def _pixels(self, x: float, y: float) -> tuple[float, float]:
-        """Convert a position [um] to a column and a row [px]."""
+        """Convert a position [um] to a column and a row [px], which need not lie in the image.
+
+        Rows count downwards from the top, and pixel centres have integer coordinates.
+        """
         look = self.look
         across = x - look.corner_um[0]
         up = y - look.corner_um[1]

@@ -160,11 +160,11 @@ class EmulatedMicroscope(StreamedCamera):
         return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}
 
     def _joined(self) -> None:
-        """Scatter the cells again."""
+        """Scatter the cells again when a client starts to read."""
         self._dish.drop()
 
     def _scene(self) -> Floats:
-        """Return x, y, height, axis and tilt of each cell's body, shape (5, N)."""
+        """Return x, y, height [um], axis and tilt [rad] of each cell's body, shape (5, N)."""
         scene = bodies(self._dish.cells)
         return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
@@ -188,7 +188,11 @@ class EmulatedMicroscope(StreamedCamera):
         return look
 
     def _draw(self, exposed_ns: int) -> Grey:
-        """Draw the image of an exposure, averaged over the motion during the exposure."""
+        """Draw the image of an exposure, averaged over the motion during the exposure.
+
+        `exposed_ns` is the middle of the exposure [ns]. A cell that divides during the exposure
+        appears in the next image.
+        """
         self.painter.change(self._look())
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5

@@ -25,7 +25,12 @@ def log(tmp_path_factory):
 
 @given(st.lists(st.floats(-1e4, 1e4) | st.sampled_from([np.nan, np.inf, -np.inf]), max_size=6))
 def test_numbers_are_rounded_and_what_is_not_finite_is_missing(values):
-    assert rounded(values, 2) == [round(v, 2) if np.isfinite(v) else None for v in values]
+    for value, number in zip(values, rounded(values, 2), strict=True):
+        if np.isfinite(value):
+            assert abs(number - value) <= 0.005 + 1e-9
+            assert number == float(f"{number:.2f}")
+        else:
+            assert number is None
     assert rounded([values], 2) == [rounded(values, 2)]
 
 

@@ -161,7 +161,10 @@ class _Watcher:
         """Do nothing when a trial starts. Only the ends of trials are reported."""
 
     def trial_ended(self, ending: "Ending") -> None:
-        """Show the progress, and call `on_result` with the trial's index and result."""
+        """Show the progress, and call `on_result` with the trial's index and result.
+
+        `on_result` is not called for a trial that ended without a result.
+        """
         if self.progress:
             self.progress.trial_ended(ending)
         if ending.result:

@@ -74,7 +74,7 @@ def read_batch(*paths: str | Path) -> "Batch":
 
 
 def as_trial(trial: Trial) -> TrialLog:
-    """Read a trial that is given as its log. A trial is returned unchanged."""
+    """Read the log of a trial that is given as its file. A `TrialLog` is returned unchanged."""
     if isinstance(trial, TrialLog):
         return trial
     demand(trial, str | Path, "a trial is the file of a log, or a value that read_log returns")
@@ -94,7 +94,10 @@ def as_batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
 
 
 def as_trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
-    """Read the trials that are given as one trial, several, a batch, or a folder."""
+    """Return the logs of the trials that are given as one trial, several, a batch, or a folder.
+
+    Trials of a batch come in the batch's order. An empty list of trials is a `UsageError`.
+    """
     from tetractl.statistics.open_batch import Batch
 
     if isinstance(data, str | Path) and Path(data).is_dir():

@@ -77,7 +77,11 @@ def _simulate(spec: LoadedSpec, trial: int, observers: Sequence[Observer]) -> Tr
 def _simulate_logged(
     spec: LoadedSpec, trial: int, observers: Sequence[Observer], folder: Path
 ) -> TrialLog:
-    """Simulate a trial, write its log, and read it."""
+    """Simulate a trial, write its log to `folder`, and read the log.
+
+    The folder is made if it is missing. If it already holds the trial's log, a `UsageError` is
+    raised.
+    """
     from tetractl.log.read.reader import read_trial
     from tetractl.run.logged_trial import log_path, run_logged
     from tetractl.tools.files import make_folder
@@ -120,9 +124,10 @@ def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTria
 
 
 def stepped(spec: Spec) -> LoadedSpec:
-    """Check and compile a spec for trials that a script steers.
+    """Load and check a spec for trials in which a script gives the directions.
 
-    It raises the same errors as `open_trial`.
+    It raises the same errors as `open_trial`, for example a `UsageError` if the plant is the
+    lab.
     """
     from tetractl.run.open_trial import directed_spec
 

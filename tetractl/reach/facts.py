@@ -53,7 +53,10 @@ def facts_table(experiment: Experiment) -> Table | None:
 
 
 def facts_items(experiment: Experiment) -> dict[str, Any]:
-    """List the same facts as the items of a JSON object. Unknown values are None."""
+    """List what the signal can reach, and the two most similar robots, as items of a JSON object.
+
+    `reach` and `smallest_difference` are None and `most_similar` is empty if they are unknown.
+    """
     reached = reach(experiment)
     pair = None if experiment.open else most_similar(experiment.setup)
     setup = experiment.setup
@@ -65,5 +68,5 @@ def facts_items(experiment: Experiment) -> dict[str, Any]:
 
 
 def _difference(setup: Setup, slower: int, faster: int) -> float:
-    """Compute the difference of two turning rates relative to the smaller rate."""
+    """Compute the difference of two turning rates, as a fraction of the slower robot's rate."""
     return float(setup.a[faster] / setup.a[slower] - 1)

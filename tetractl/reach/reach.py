@@ -95,7 +95,7 @@ class Reach:
 
     @property
     def barely(self) -> int:
-        """The number of combinations that the signal can only just move."""
+        """The number of combinations whose spread is within a factor NEAR of TOLERANCE."""
         return int(((self.spread > TOLERANCE / NEAR) & (self.spread < TOLERANCE * NEAR)).sum())
 
     @property
@@ -162,9 +162,10 @@ def reach_of(setup: Setup, motion: str) -> Reach:
 
 
 def _ends(setup: Setup, motion: str) -> Floats:
-    """Compute the robots' ends under random sequences, relative to their means [s].
+    """Compute where the robots end under random directions, relative to the mean end.
 
-    The shape is (SEQUENCES, 2N).
+    Every moving robot has speed 1, so lengths are in seconds. The shape is (SEQUENCES, 2N),
+    with x and y of each robot in turn.
     """
     step = MOTIONS.load(motion).step
     speed = np.where(setup.speed > 0, 1.0, 0.0)
@@ -184,7 +185,11 @@ def _ends(setup: Setup, motion: str) -> Floats:
 
 
 def _spreads(ends: Floats) -> Floats:
-    """Compute the spread of each combination of ends (SEQUENCES, M), shape (M,) [s], descending."""
+    """Compute how far each combination of coordinates spreads [s], in descending order.
+
+    The combinations are the principal axes of the ends, of shape (SEQUENCES, M), and the
+    result has shape (M,). Far outliers count only up to a limit.
+    """
     counted = ends
     values = np.zeros(ends.shape[1])
     for _ in range(ROUNDS):
@@ -196,7 +201,11 @@ def _spreads(ends: Floats) -> Floats:
 
 
 def _identical_groups(ends: Floats, moves: Bools, spread_min: float) -> Iterator[list[int]]:
-    """Yield groups of moving robots in which each robot moves like another one of the group."""
+    """Yield each group of at least two moving robots that the signal cannot move apart.
+
+    Each robot of a group has a combination with another one that spreads less than
+    `spread_min` [s]. The indices in a group are sorted.
+    """
     ungrouped = set(np.flatnonzero(moves).tolist())
     while ungrouped:
         group = [min(ungrouped)]
@@ -219,9 +228,10 @@ def _spread_between(ends: Floats, first: int, second: int) -> float:
 def _separable_robots(
     setup: Setup, motion: str, group: list[int], spread_max: float
 ) -> Iterator[PartedRobot]:
-    """Yield the robots of a group except the first, each with an a that separates it.
+    """Yield the robots of a group except the first, each with a turning rate that separates it.
 
-    It is the nearest such turning rate.
+    It is the first one of STEPS that separates all robots of the group. Nothing is yielded if
+    none does.
     """
     a = setup.a.copy()
     spread_min = NEAR * TOLERANCE * spread_max

@@ -279,7 +279,10 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
 
 
 def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
-    """Return the HTML of the part of the page that plays trials, with the data of these."""
+    """Return the HTML of the player, with the compressed data of the trials.
+
+    `note` is HTML that is shown in the player.
+    """
     options: list[str] = []
     data: list[str] = []
     for index, trial in enumerate(trials):
@@ -324,7 +327,7 @@ def _tables(listed: Sequence[Table]) -> str:
 
 
 def _provenance(log: TrialLog) -> str:
-    """Return the HTML that shows how the first trial was made: spec, host and versions."""
+    """Return the HTML that shows how a trial was made: seed, spec, host and versions."""
     start = log.start
     facts = [f"<dt>{escape(key)}</dt><dd>{escape(fact)}</dd>" for key, fact in log.facts.items()]
     spec_name = escape(start.spec_name)
@@ -342,7 +345,10 @@ def _provenance(log: TrialLog) -> str:
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return a trial with only the data that `errors_over_time` draws, to save memory."""
+    """Return a trial that keeps only what `errors_over_time` draws, to save memory.
+
+    It has the first control step, and neither the true poses nor notes.
+    """
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 
@@ -356,7 +362,10 @@ def figures_of_trial(log: TrialLog) -> str:
 
 
 def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
-    """Return the figure of a batch's errors. Empty for fewer than two trials with frames."""
+    """Return the HTML of a figure of a batch's errors over time.
+
+    Trials without a frame are left out. The result is empty if fewer than two trials remain.
+    """
     with_frames = [log for log in logs if len(log.mocap_ns)]
     if len(with_frames) < 2:
         return ""

@@ -65,7 +65,10 @@ def refuse_unknown_motion(spec: LoadedSpec) -> None:
 
 
 def _controllers_trial(log: TrialLog) -> dict[str, Any]:
-    """Return the data of the controller's trial for the page, with its plans if there is room."""
+    """Return the data of the controller's trial for the page, without its history.
+
+    The plans are None if the compressed data would otherwise exceed TRIAL_MAX characters.
+    """
     data = trial_data(log, log.origin) | {"history": None}
     if len(packed(data)) > TRIAL_MAX:
         data["plan"] = None
@@ -97,7 +100,10 @@ def _world(spec: LoadedSpec) -> dict[str, Any]:
 
 
 def _robots(setup: Setup) -> list[dict[str, Any]]:
-    """Return each robot as data for the page: name, colour, start, target, turning rate, speed."""
+    """Return each robot as data for the page, with lengths in the experiment's unit.
+
+    Starts are x, y and heading [rad]. The list of via points is always empty.
+    """
     colors = robot_colors(setup.names, setup.colors)
     starts = setup.starts.array().tolist()
     return [

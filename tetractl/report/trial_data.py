@@ -30,14 +30,17 @@ The error is at most a thousandth of the arena.
 
 
 def packed(trial: dict[str, Any]) -> str:
-    """Compress the data of a trial by zlib, and return it as base64 text."""
+    """Compress the data of a trial by zlib, and return it as base64 text.
+
+    NaN and infinite numbers raise a `ValueError`.
+    """
     text = json.dumps(trial, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     compressed = zlib.compress(text.encode(), 9)
     return base64.b64encode(compressed).decode()
 
 
 def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
-    """Round an array, and return it as lists, with None in place of values that are not finite."""
+    """Round an array, and return it as nested lists. NaN and infinite values become None."""
     numbers = np.asarray(values, dtype=float)
     items = np.round(numbers, decimals).astype(object)
     items[~np.isfinite(numbers)] = None
@@ -45,7 +48,7 @@ def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
 
 
 def significant(values: ArrayLike) -> list[float | None]:
-    """Round values (n,) to four significant digits, with None for those that are not finite."""
+    """Round values (n,) to four significant digits. NaN and infinite values become None."""
     numbers = np.asarray(values, dtype=float).tolist()
     return [float(f"{number:.4g}") if math.isfinite(number) else None for number in numbers]
 
@@ -93,7 +96,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _robots(log: TrialLog) -> list[dict[str, Any]]:
-    """Return each robot as data: its name, colour, start, target, and way-points."""
+    """Return each robot as data: name, colour, first measured position, target, and via points."""
     setup = log.start.setup
     colors = robot_colors(setup.names, setup.colors)
     starts = first_seen(log.positions, setup.starts.xy).tolist()
@@ -126,9 +129,9 @@ def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
 
 
 def _steps(log: TrialLog) -> dict[str, Any]:
-    """Return the data of each control step for the player.
+    """Return the data of each control step for the player, as lists of one value per step.
 
-    Plans of standing robots have no cost.
+    The cost and the number of signals are None for a step in which the plan pauses the robots.
     """
     steps = log.steps
     plans = [step.plan for step in steps]
@@ -156,12 +159,15 @@ def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
 
 
 def _plans(log: TrialLog, decimals: int) -> list[Any]:
-    """Return the positions that the plan of each control step predicted."""
+    """Return the positions (x, y) that the plan of each control step predicted.
+
+    They are rounded to COARSER fewer decimals than `decimals`.
+    """
     return [rounded(step.plan.path[..., :2], decimals - COARSER) for step in log.steps]
 
 
 def _events(log: TrialLog) -> list[dict[str, Any]]:
-    """Return the events of the trial as data for the player."""
+    """Return the events of the trial in their order, with the time [s], the level and the text."""
     return [{"t": event.time_s, "level": event.level, "text": event.text} for event in log.events]
 
 

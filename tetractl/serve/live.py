@@ -58,13 +58,19 @@ class Viewers(RecordSink):
                 self._publish(record)
 
     def jump(self, time_ns: int) -> None:
-        """Set the viewers to another time [Unix ns], for which no message has been sent yet."""
+        """Set the viewers to another time [Unix ns], and forget the newest message of each topic.
+
+        Viewers that subscribe later therefore receive nothing from before the jump.
+        """
         with self._lock:
             self._newest.clear()
             self._go_to(time_ns)
 
     def close(self) -> None:
-        """End the connections to all viewers. It waits for at most `CLOSE_S`."""
+        """Send the queued messages, and end the connections to all viewers.
+
+        After `CLOSE_S` seconds, connections that are still open are cut.
+        """
         with self._lock:
             clients = list(self._clients)
         for client in clients:
@@ -111,7 +117,10 @@ class Viewers(RecordSink):
                     client.unsubscribe(foxglove_protocol.subscription(number))
 
     def _subscribe(self, client: "_Client", channel: int, number: int) -> None:
-        """Send a viewer the messages of a topic from now on, beginning with the newest one."""
+        """Subscribe a viewer to a topic, and send it the newest message of the topic at once.
+
+        The newest operator message is not sent, because the viewer would show it twice.
+        """
         topic = foxglove_protocol.TOPICS[channel]
         client.subscriptions[topic] = foxglove_protocol.subscription(number)
         # otherwise a viewer would show an operator message twice
@@ -119,7 +128,11 @@ class Viewers(RecordSink):
             client.message(self._newest[topic])
 
     def _publish(self, entry: Entry) -> None:
-        """Send a message to the viewers, and before it its time, if that is later than theirs."""
+        """Send a message to the viewers. The caller holds the lock.
+
+        If the message is later than the time that the viewers show, they receive its log
+        time first.
+        """
         self._newest[entry.topic] = entry
         if entry.log_ns > self._time_ns:
             self._go_to(entry.log_ns)
@@ -127,7 +140,7 @@ class Viewers(RecordSink):
             client.message(entry)
 
     def _go_to(self, time_ns: int) -> None:
-        """Set the time that the viewers show."""
+        """Set the time that the viewers show [Unix ns]. The caller holds the lock."""
         self._time_ns = time_ns
         message = foxglove_protocol.time(time_ns)
         for client in self._clients:
@@ -153,7 +166,7 @@ class _Client:
             self.put(foxglove_protocol.message(subscription, entry))
 
     def unsubscribe(self, subscription: bytes) -> None:
-        """End a subscription if it exists."""
+        """End the subscription with this id. An unknown id is ignored."""
         for topic, number in list(self.subscriptions.items()):
             if number == subscription:
                 del self.subscriptions[topic]
@@ -190,7 +203,11 @@ class _Client:
             self._link.close()
 
     def _next(self) -> str | bytes | None:
-        """Wait for the next queued message, and return it. None at the end."""
+        """Wait for the next queued message, and remove it from the queue.
+
+        Messages that still wait after `end` are returned first. The result is None if the
+        connection ends and the queue is empty.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._ending)
             return self._waiting.popleft() if self._waiting else None

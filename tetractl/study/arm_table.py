@@ -28,7 +28,11 @@ LISTED = 100
 
 
 def finished_trials(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, ResultSummary]]:
-    """Yield every finished trial of a study, arm by arm, in the order of the trials."""
+    """Yield every finished trial of a study with its arm, in the order of the arms.
+
+    The trials of an arm are sorted by their index. Aborted trials are included, missing ones
+    are not.
+    """
     for arm in loaded.arms:
         results = store.batches[arm.name].results
         for number in sorted(results):
@@ -144,7 +148,10 @@ def unsafe_columns(
 
 
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
-    """Return the table of arms: total error, unsafe and aborted trials, and plant."""
+    """Return a table with one row per arm: total error, unsafe and aborted trials, and plant.
+
+    It has at most LISTED rows. A note below it gives the number of arms that are left out.
+    """
     arms = loaded.arms[:LISTED]
     plants = origins(loaded)[:LISTED]
     trials = list(finished_trials(loaded, store))

@@ -83,7 +83,11 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Format a value for people: numbers with six digits, a list of mappings by its length."""
+    """Format a value for people.
+
+    Floats get six significant digits, strings stay as they are, and a list of mappings is
+    replaced by its length. Any other value is written as YAML in one line.
+    """
     if isinstance(value, float):
         return f"{value:.6g}"  # significant digits of a number in a name or a figure
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
@@ -175,7 +179,11 @@ def load_study(
 
 
 def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -> LoadedStudy:
-    """Check a study, whose base spec is given relative to `folder`."""
+    """Check a study, and load its arms. `folder` is where the path of its base spec starts.
+
+    Raises:
+        InvalidSpecError: If the study, its base or an arm is invalid, or if arms disagree.
+    """
     study = _study(document)
     arms = _arms(study, _base(study, document, folder), document, settings)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
@@ -251,7 +259,11 @@ def _study(document: Document) -> Study:
 
 
 def _combinations(study: Study, document: Document) -> Iterable[tuple[str, Mapping[str, Setting]]]:
-    """Yield each controller, "" for none, with each point of the sweep."""
+    """Yield each controller's name with each point of the sweep, controller by controller.
+
+    The name is "" if the study lists no controllers. An `InvalidSpecError` is raised if there
+    are more than MAX_ARMS combinations.
+    """
     points = _points(study)
     controllers = study.controllers or {"": {}}
     count = len(points) * len(controllers)
@@ -344,7 +356,7 @@ def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Docume
 
 
 def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]:
-    """Yield the problems of a study that concern several arms together."""
+    """Yield a problem if the length units of arms differ, and one for each repeated arm."""
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
         text = f"has arms in {' and '.join(units)}, but all arms must have the same length unit"
@@ -361,7 +373,11 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms of a study with different names, by adding a part of their hashes."""
+    """Yield the arms of a study with unique names, in their order.
+
+    The first eight digits of an arm's hash are added to each name that several arms share.
+    Upper and lower case count as the same.
+    """
     names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1

@@ -46,7 +46,10 @@ def lacking(
 
 
 def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
-    """Compile the code that the arms of a study need. A failure is reported with its trial."""
+    """Compile the code that a study needs, with the spec of one arm per controller.
+
+    An arm that fails here is passed over, because its trials report the failure.
+    """
     for arm in {arm.controller: arm for arm in loaded.arms}.values():
         with suppress(TetractlError):
             warm_up(arm.spec.experiment, announce)

@@ -111,7 +111,11 @@ class Range(Model):
         return self
 
     def at(self, fraction: float) -> float:
-        """Return the value at the fraction `fraction`, from 0 to below 1, of the range."""
+        """Return the field's value at a fraction of the range, from 0 to below 1.
+
+        Rounding never takes the value beyond `low` or `high`. If `whole` is set, each
+        whole number takes an equal part of the fractions on a linear scale.
+        """
         if self.whole:
             # as many values round down to the highest number as to any other
             value = self._between(self.low, self.high + 1, fraction)
@@ -175,7 +179,11 @@ class Sobol(SampledSweep):
     type: Literal["sobol"]
 
     def shares(self, rng: np.random.Generator) -> Floats:
-        """Return the first `count` points of the sequence (Owen, J. Complexity 14, 1998)."""
+        """Return the first `count` points of a Sobol sequence that `rng` scrambles.
+
+        The numbers range from 0 to below 1, and the shape is (count, number of fields).
+        See Owen, J. Complexity 14, 1998.
+        """
         from scipy.stats import qmc  # slow to import, and only needed here
 
         sequence = qmc.Sobol(len(self.fields), rng=rng)

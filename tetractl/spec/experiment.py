@@ -409,7 +409,10 @@ class Experiment(Model):
 
     @cached_property
     def setup(self) -> Setup:
-        """The numbers of the experiment as arrays, with one entry for each robot."""
+        """The numbers of the experiment as arrays, with one entry for each robot.
+
+        Robots are in the spec's order, and lengths in its length unit.
+        """
         starts = [(*robot.start, robot.heading) for robot in self.robots]
         control = self.controller
         lag_s = self.wheels.lag if self.wheels else 0.0

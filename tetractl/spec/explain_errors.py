@@ -110,7 +110,10 @@ def explain(
 
 
 def _is_reported_already(mistake: Mistake, document: Document) -> bool:
-    """Check whether an error only follows from another one that is already reported."""
+    """Check whether an error only follows from another one that is already reported.
+
+    This is so if a value that encloses it was refused, for example.
+    """
     if mistake.kind == "default_factory_not_called":
         return True  # by the field from which this default is computed
     if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
@@ -158,7 +161,7 @@ def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
 
 
 def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Report that `type` is missing in a section of the spec, or that it is unknown."""
+    """Create the problem of a section of the spec whose `type` is missing or unknown."""
     loc = (*mistake.loc, "type")
     place = document.place(loc)
     types = _types(mistake, schema)
@@ -171,7 +174,10 @@ def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecPro
 
 
 def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Create the problem of a missing key, or of a list with too few entries."""
+    """Create the problem of a missing key, or of a list with too few entries.
+
+    The latter is reported at the list instead of the missing entry.
+    """
     place = document.place(mistake.loc)
     if isinstance(mistake.loc[-1], int):
         entries = mistake.loc[:-1]
@@ -276,7 +282,7 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
 
 
 def _hint(kind: str, value: Any) -> str:
-    """Suggest how a wrong value was probably meant. Empty if there is no suggestion."""
+    """Suggest how a wrong value was probably meant, such as with a decimal point. "" if unknown."""
     if isinstance(value, str):
         comma = re.fullmatch(r"([+-]?\d+),(\d+)", value)
         point = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""

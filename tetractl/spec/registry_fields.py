@@ -83,7 +83,7 @@ class KindSection:
         return choice
 
     def make(self) -> Any:
-        """Return the default kind with default values, as the default of a field of the spec."""
+        """Create a section of the default kind with default values, as the default of a field."""
         return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:

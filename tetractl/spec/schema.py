@@ -13,7 +13,10 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 @cache
 def schema_of(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of a type of file; callers must not change it."""
+    """Return the JSON schema (draft 2020-12) of a type of file.
+
+    It is created only once, so callers must not change it.
+    """
     return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
 
 
@@ -54,7 +57,10 @@ def child(data: Any, step: str | int) -> Any:
 
 
 def alternatives(node: dict[str, Any], root: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the alternatives of a union schema, without null. Empty for any other schema."""
+    """Return the alternatives of a union schema, without null and with references resolved.
+
+    Empty for any other schema.
+    """
     listed = node.get("anyOf") or node.get("oneOf") or []
     return [_resolved(option, None, root) for option in listed if option.get("type") != "null"]
 

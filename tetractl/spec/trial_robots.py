@@ -53,12 +53,12 @@ class TrialRobots(Model):
 
     @abstractmethod
     def sought(self) -> Self:
-        """Return the rule as the spec gave it, before a trial has found the robots."""
+        """Return the rule as the spec gave it, without the robots that a trial has found."""
 
     @property
     @abstractmethod
     def stand_ins(self) -> Sequence[StandIn]:
-        """Placeholders for the robots, until a trial has found them."""
+        """Placeholders, one for each robot of a trial, until the trial has found its robots."""
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:

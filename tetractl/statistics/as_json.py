@@ -42,7 +42,11 @@ def data_table(comparison: BatchComparison) -> Table:
 
 
 def batch_items(group: BatchStatistics) -> dict[str, Any]:
-    """Return the JSON items of a batch: errors, plant, statistics and trials."""
+    """Return the JSON items of a batch: errors, plant, statistics and trials.
+
+    They also list earlier attempts, damaged logs and flagged trials. Unknown numbers are NaN or
+    None.
+    """
     batch = group.batch
     experiment = group.experiment
     robots = zip(experiment.setup.names, group.robots, strict=True)
@@ -113,7 +117,7 @@ def contrast_items(contrast: Contrast) -> dict[str, Any]:
 
 
 def _items_of_group(prefix: str, group: BatchStatistics) -> dict[str, Any]:
-    """Return the JSON items of one side of a comparison, such as `one_mean`."""
+    """Return the JSON items of one side of a comparison, keyed by names such as `one_mean`."""
     return {
         f"{prefix}_origin": group.origin.value,
         f"{prefix}_n": group.counted,

@@ -71,7 +71,7 @@ class MeanDifference:
         return f"{difference}, p {equals}{p_value(p)}"
 
     def as_dict(self) -> dict[str, object]:
-        """Return the difference of means as items of JSON."""
+        """Return the difference of means as items of JSON. Without a test, the p-value is NaN."""
         return {
             "difference": self.value,
             **self.ci95.as_dict(),

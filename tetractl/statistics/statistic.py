@@ -166,7 +166,10 @@ def statistics() -> list[Statistic]:
 
 
 def trial_items(trial: ResultSummary) -> dict[str, Any]:
-    """Return the items of one trial in JSON, including those of every statistic."""
+    """Return the items of one trial in JSON, including those of every statistic.
+
+    An item of a statistic replaces an earlier one with the same key.
+    """
     result = trial.result
     items = {
         "log": trial.log,

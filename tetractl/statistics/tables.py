@@ -61,7 +61,10 @@ def summary(comparison: BatchComparison) -> list[Table]:
 
 
 def _verdict(contrast: Contrast) -> str:
-    """Describe the verdict of a comparison in words, with its difference and test."""
+    """Describe the verdict of a comparison in words, with its difference and test.
+
+    If there is no verdict, the reason is stated instead.
+    """
     if contrast.verdict is None:
         verdict = f"no verdict ({contrast.reason})"
     elif contrast.verdict == "undecided":
@@ -147,12 +150,15 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
 
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
-    """Return the formatted figures of a batch, by their labels."""
+    """Return {label: text} of the formatted figures of a batch, in their order."""
     return {figure.label: figure.text for figure in figures_of(group)}
 
 
 def _tail(group: BatchStatistics) -> Figure:
-    """Describe in words how many errors are far above the others."""
+    """Describe in words how many errors are far above the others, as "2 of 100 above 85.0 mm".
+
+    It is marked as unusual if there is such an error, unless all errors are tiny.
+    """
     arena = group.experiment.arena
     tail = group.total.tail
     tiny = group.total.max < TINY * max(arena.width, arena.height)
@@ -309,7 +315,10 @@ def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]
 
 
 def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distribution]]:
-    """Yield each published result once. If results differ, their batches are named."""
+    """Yield each published result once. If results differ, their batches are named.
+
+    Nothing is yielded if no spec states one.
+    """
     names: dict[tuple[int, float, float], list[str]] = {}  # of batches, by n, mean and std
     for group in groups:
         published = group.experiment.reference
@@ -337,7 +346,10 @@ def _errors_title(groups: Sequence[BatchStatistics]) -> str:
 
 
 def differences_table(contrasts: Sequence[Contrast]) -> Table:
-    """Return a table of the differences between the means of batches."""
+    """Return a table of the differences between the means of batches, with one row per contrast.
+
+    There must be at least one contrast.
+    """
     first = contrasts[0].first
     sizes = [abs(contrast.difference.value) for contrast in contrasts]
     largest = max(filter(math.isfinite, sizes), default=0.0)

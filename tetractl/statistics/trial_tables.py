@@ -54,7 +54,10 @@ def trials_table(batch: Batch) -> Table:
 
 
 def _trial_row(trial: ResultSummary) -> dict[str, Any]:
-    """Return the row of one trial: its values by the names of the columns, errors last."""
+    """Return the row of one trial: its values by the names of the columns, errors last.
+
+    Names of lengths end in the spec's length unit.
+    """
     unit = trial.experiment.units.length
     items = trial_items(trial)
     total_error = items.pop("total_error")
@@ -87,7 +90,11 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
 
 
 def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:
-    """Return the row of one control step for the table `steps`."""
+    """Return the row of one control step for the table `steps`.
+
+    Times [s] count from the first direction. The direction is None if the step sent none, and wheel
+    speeds are None if they are unknown.
+    """
     setup = log.start.setup
     sent = step.command
     chosen = step.searches[step.chosen]
@@ -205,7 +212,10 @@ def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:
 
 
 def events(log: TrialLog) -> Table:
-    """Return one row per event, such as a lost command, lost tracking, or the end of the trial."""
+    """Return one row per event, such as a lost command, lost tracking, or the end of the trial.
+
+    Times [s] count from the first direction, so they can be negative.
+    """
     return _table(
         "events",
         {

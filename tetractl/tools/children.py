@@ -28,7 +28,10 @@ SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def python(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module in another Python, without the current folder."""
+    """Return the command that runs a module in another Python, without the current folder.
+
+    The interpreter is the one of this process. The current folder is not searched for modules.
+    """
     return [sys.executable, "-P", "-m", module, *arguments]
 
 

@@ -94,7 +94,10 @@ def _of_computer(error: BaseException) -> bool:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Check whether nobody reads an output stream any more, by flushing it."""
+    """Check whether nobody reads an output stream any more, by flushing it.
+
+    Other errors of the stream are raised.
+    """
     try:
         stream.flush()
     except BrokenPipeError:

@@ -166,7 +166,7 @@ def _output(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b""
 
 
 def _paths(trial: TrialLog) -> bytes:
-    """Draw the robots' paths as a PNG. Empty (b"") for a log that has none."""
+    """Draw the robots' paths, and return the bytes of a PNG file. b"" for a log that has none."""
     try:
         figure = draw("trajectory", [trial])
     except TetractlError:
@@ -180,7 +180,7 @@ def _place(xy: Sequence[float]) -> str:
 
 
 def _arena(setup: Setup) -> bytes:
-    """Draw the arena with the robots at their starts, as a PNG."""
+    """Draw the arena with the robots at their starts, and return the bytes of a PNG file."""
     file = io.BytesIO()
     Image.fromarray(arena_picture(setup, setup.starts.xy[None])).save(file, "PNG")
     return file.getvalue()

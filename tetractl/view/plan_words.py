@@ -5,7 +5,7 @@ from tetractl.core.plan import Plan, Search, State, StopReason
 
 
 def doing(plan: Plan) -> str:
-    """Describe in words what the robots do under a plan."""
+    """Describe in words what the robots do under a plan, such as "driving" or "field off"."""
     if isinstance(plan.instead, FieldOff):
         return "field off"
     if plan.state in (State.RESTING, State.STUCK):

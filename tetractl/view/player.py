@@ -221,7 +221,7 @@ class Player:
     def state(self) -> Playback:
         """The state of the player.
 
-        At the end of the span, it is ENDED only once `update` has paused it.
+        At the end of the span, it is ENDED once the player is paused.
         """
         if self._quit:
             return Playback.QUIT
@@ -290,12 +290,18 @@ class Player:
         self._anchor_wall_ns = self._wall.now()
 
     def _after(self, times: Integers, otherwise: int) -> int:
-        """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`."""
+        """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`.
+
+        A time that equals now does not count.
+        """
         index = int(np.searchsorted(times, self.now, side="right"))
         return int(times[index]) if index < len(times) else otherwise
 
     def _before(self, times: Integers, otherwise: int) -> int:
-        """Return the last of the increasing `times` [ns] that lies before now, or `otherwise`."""
+        """Return the last of the increasing `times` [ns] that lies before now, or `otherwise`.
+
+        A time that equals now does not count.
+        """
         index = int(np.searchsorted(times, self.now, side="left"))
         return int(times[index - 1]) if index else otherwise
 

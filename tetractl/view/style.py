@@ -159,7 +159,10 @@ def grid_of_heights(axes: Axes) -> None:
 
 
 def batch_look(number: int) -> dict[str, Any]:
-    """Return colour and line style of batch `number`: all colours in turn, then the next line."""
+    """Return colour and line style of the batch with this index, from 0.
+
+    All colours are used with the first line style, then with the next. In the end, looks repeat.
+    """
     turn, shade = divmod(number, len(SLATES))
     return {"color": SLATES[shade], "ls": _DASHES[turn % len(_DASHES)]}
 

@@ -71,7 +71,10 @@ class Fault(Model):
         return fields.get("robot", fields.get("cell"))
 
     def names(self) -> Iterator[str]:
-        """Yield the robots that the fault names in its fields `robot` and `other`, if any."""
+        """Yield the robots that the fault names in its fields `robot` and `other`, in this order.
+
+        Nothing is yielded if it names none.
+        """
         fields = dict(self)
         yield from (fields[key] for key in ("robot", "other") if fields.get(key) is not None)
 

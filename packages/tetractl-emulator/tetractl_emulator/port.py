@@ -80,7 +80,7 @@ class SerialLine:
 
     @property
     def speed(self) -> int:
-        """The baud rate of the device. A fault can change it."""
+        """The baud rate of the device, which the fault `baud` replaces by another one."""
         wrong_baud = self._acting.newest("baud")
         return self.baud if wrong_baud is None else wrong_baud.baud
 
@@ -267,7 +267,10 @@ class PluggedDevices:
                 device.port.unplug()
 
     def stall(self, stalled: bool) -> None:
-        """Stop all ports from taking bytes if `stalled`, or let them take bytes again."""
+        """Stop all ports from taking bytes if `stalled`, or let them take bytes again.
+
+        The bytes concerned are those that the program writes.
+        """
         for device in self.wired:
             device.port.stall(stalled)
 

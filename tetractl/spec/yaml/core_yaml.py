@@ -196,7 +196,10 @@ def short_tag(tag: str) -> str:
 
 
 def dump(data: Any) -> str:
-    """Convert plain data to YAML text: one key per line, points as [x, y]."""
+    """Convert plain data to YAML text: one key per line, points as [x, y].
+
+    Keys keep their order.
+    """
     return yaml.dump(
         data,
         Dumper=_Dumper,

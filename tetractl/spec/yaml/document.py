@@ -73,7 +73,10 @@ class Document:
 
     @property
     def all_problems(self) -> list[SpecProblem]:
-        """All problems of the document so far, including values that were refused."""
+        """All problems of the document so far, including values that were refused.
+
+        Refused values come last.
+        """
         refused = [place.refused for place in self.places.values() if place.refused]
         return [*self.problems, *refused]
 

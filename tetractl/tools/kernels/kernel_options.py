@@ -69,7 +69,10 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @cache
 def exact(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a plain function as a part of a kernel that returns exactly the same bits."""
+    """Compile a plain function as a part of a kernel that returns exactly the same bits.
+
+    The compiler may neither reorder nor merge its operations, in contrast to `inlined`.
+    """
     return njit(**INLINE_EXACT)(with_parts(function, exact))
 
 

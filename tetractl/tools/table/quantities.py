@@ -112,7 +112,11 @@ class NumberColumn:
         return value
 
     def optional(self, path: Path, row: CsvRow) -> float:
-        """Return the number in a row. NaN if there is none."""
+        """Return the number in a row, in the wanted unit. NaN if it is missing or marked unknown.
+
+        Raises:
+            UsageError: If it is no number, or too large.
+        """
         text = row.cells[self.key]
         if text.lower() in _UNKNOWN:
             return math.nan

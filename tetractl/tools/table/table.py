@@ -55,7 +55,7 @@ def listing(texts: Sequence[str], between: str = ", ") -> str:
 
 
 def p_value(p: float) -> str:
-    """Format a p-value with two digits, or as "< 0.001". "-" if it is unknown."""
+    """Format a p-value with two digits, or as "< 0.001" if it is smaller than that. "-" for NaN."""
     if not math.isfinite(p):
         return NONE
     return f"{p:.2g}" if p >= 0.001 else "< 0.001"
@@ -105,7 +105,7 @@ class Column:
 
     @property
     def texts(self) -> list[str]:
-        """The formatted text of each value in the column."""
+        """The text of each value in the column, formatted by `format`."""
         return [self.format(value) for value in self.values]
 
     @property
@@ -155,7 +155,7 @@ class Table:
 
     @property
     def header(self) -> list[str]:
-        """The headings of the table's columns."""
+        """The headings of the table's columns, as "name [unit]"."""
         return [column.heading for column in self.columns]
 
     @property

@@ -184,7 +184,10 @@ class _GrowingFile:
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:
-    """Convert plain data, dataclasses and arrays to JSON. Non-finite numbers become null."""
+    """Convert plain data, dataclasses and arrays to JSON. Non-finite numbers become null.
+
+    `indent` is the number of blanks per level. With None, the text is one line of ASCII.
+    """
     return json.dumps(plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False)
 
 

@@ -54,7 +54,10 @@ def open_console(stderr: bool = False, quiet: bool = False) -> "Console":
 
 
 def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:
-    """Print tables to a terminal, or as plain text of WIDTH characters if there is none."""
+    """Print tables to a terminal, or as plain text of WIDTH characters if there is none.
+
+    By default, they are printed to stdout.
+    """
     console = console or open_console()
     for table in tables:
         _print(table, console)

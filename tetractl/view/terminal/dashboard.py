@@ -158,7 +158,10 @@ class Dashboard:
         yield from printed(rows, width)
 
     def _arena(self, width: int, height: int) -> list[list[Segment]]:
-        """Return the arena in its frame, then blanks, as exactly `height` rows of equal width."""
+        """Return the arena in its frame as exactly `height` rows of equal width.
+
+        Rows of blanks fill the rest.
+        """
         arena = self._moment.setup.arena
         left_by_share = width - GAP - round(ARENA_SHARE * width)
         numbers_width = min(max(left_by_share, NUMBERS_LEAST), NUMBERS_WANTED)
@@ -291,7 +294,7 @@ class Dashboard:
         return step.plan.estimate.standing(self._moment.setup.names)
 
     def _total(self, width: int) -> list[Text]:
-        """Return lines with the total error, and with a small curve of it so far."""
+        """Return a line with the total error, and a small curve of it at each step so far."""
         moment = self._moment
         total = _number(float(moment.distances.sum()))
         line_width = min(width, SPARKLINE_MOST)

@@ -55,7 +55,10 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
 
 
 def _verdict(preflight: Preflight) -> str:
-    """Describe whether a run could start, and how many warnings there are."""
+    """Describe whether a run could start: "ready" or "not ready".
+
+    If it is ready, the number of warnings follows unless there are none.
+    """
     if not preflight.can_start:
         return "not ready"
     number = len(preflight.all_warnings)

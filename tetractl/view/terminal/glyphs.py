@@ -22,7 +22,7 @@ LEAST = 1e-12
 
 
 def arrow(angle: float) -> str:
-    """Return the arrow character nearest to an angle [rad]. It points along +x if it is unknown."""
+    """Return the arrow character nearest to an angle from +x [rad]. For NaN, it points along +x."""
     if not math.isfinite(angle):
         return ARROWS[0]
     return ARROWS[round(math.remainder(angle, math.tau) / (math.pi / 4)) % len(ARROWS)]

@@ -245,7 +245,7 @@ class LiveView(Observer):
         self._draw()
 
     def preview(self, plan: Plan, direction: float) -> None:
-        """Show where robots would go in a direction [rad] that is not sent."""
+        """Show where robots would go under a plan whose direction [rad] is not sent."""
         self._of_trial.preview(plan, direction)
         self._draw()
 
@@ -276,7 +276,10 @@ class LiveView(Observer):
         )
 
     def _footer(self, hints: tuple[str, ...]) -> Footer:
-        """Return the lowest line: the number of the trial, and how long the others will take."""
+        """Return the lowest line: the number of the trial, and how long the others will take.
+
+        Trials count from 1. The time is left out until a trial has ended.
+        """
         ended = len(self._tally.errors)
         count = 1 if self._task is None else self._task.count
         number = 1 if self._task is None else self._task.trial + 1
@@ -299,7 +302,11 @@ class TerminalPrompt:
         self._shown: tuple[Sequence[str], Sequence[str]] | None = None
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Print where robots must stand, with questions, unless the text is the same as before."""
+        """Print where robots must stand, with questions, unless the text is the same as before.
+
+        A new text makes earlier presses of Enter count for nothing. Without `lines`, all robots
+        stand on their starts.
+        """
         if (lines, questions) != self._shown:
             self._shown = lines, questions
             self._entered.clear()

@@ -32,7 +32,11 @@ class Tally:
         self.entered = 0
 
     def add(self, result: Result) -> None:
-        """Add the result of a finished trial: its total error, and whether it was aborted."""
+        """Add the result of a finished trial.
+
+        Its total error is stored, and it is counted if it was aborted or if a robot entered an
+        obstacle.
+        """
         self.errors.append(result.total_error)
         self.aborted += result.outcome == "aborted"
         self.entered += result.entered_obstacle

@@ -143,7 +143,10 @@ class EmulatedRobot:
 
     @property
     def late_ns(self) -> int:
-        """The additional delay with which the robot executes what it receives [ns]."""
+        """The additional delay with which the robot executes what it receives [ns].
+
+        It is 0 unless the fault `reboots` acts.
+        """
         return round(self.acting.total_by("reboots", self.name) * SECOND)
 
     def answer(self) -> bytes:

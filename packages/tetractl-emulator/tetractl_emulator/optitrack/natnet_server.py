@@ -12,7 +12,7 @@ GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 
 
 def parse_request(received: bytes) -> natnet.ClientMessage:
-    """Decode a datagram from a client.
+    """Decode a datagram from a client. Messages of which only the kind matters become `Bare`.
 
     Raises:
         WireError: If the datagram is invalid.
@@ -79,7 +79,11 @@ def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
 
 
 def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
-    """Encode a section of a frame: the number of elements, and the elements, which are encoded."""
+    """Encode a section of a frame: the number of elements, then the elements.
+
+    `parts` are the encoded elements. In versions with sized sections, their size in bytes follows
+    the number of elements.
+    """
     size = sum(map(len, parts))
     head = wire.pack_fields("i", len(parts))
     if layout_of(version).sized:

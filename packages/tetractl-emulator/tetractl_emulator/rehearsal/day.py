@@ -133,7 +133,10 @@ def run_day(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day
 
 
 def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
-    """Run a command in this forked process, write its results to files, and exit."""
+    """Run a command in this forked process, write its results to files, and exit.
+
+    The exit code is the command's, or 1 if an exception ends it.
+    """
     code = 1
     try:
         _limit_processor_time()

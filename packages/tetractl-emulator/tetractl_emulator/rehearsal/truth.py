@@ -207,7 +207,7 @@ class Truth:
 
     @cached_property
     def _events_by_kind(self) -> dict[str, list[Event]]:
-        """The recorded events, by their kind."""
+        """The recorded events of each kind, in the order of time."""
         by_kind = dict[str, list[Event]]()
         for event in self.day.events:
             by_kind.setdefault(event["event"], []).append(event)
@@ -410,7 +410,10 @@ class Truth:
 
     @cached_property
     def faults(self) -> list[VisibleFault]:
-        """The faults that became visible, in the order in which they did."""
+        """The faults that became visible, in the order in which they did.
+
+        The end of a fault that did not end is inf.
+        """
         drawn = self.day.plan.faults_in_order
         ended_s = {event["row"]: time_s(event) for event in self.events("fault", phase="end")}
         visible = list[VisibleFault]()

@@ -193,7 +193,10 @@ class _Columns:
 
 
 def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the pose in a row. It is unknown if the row marks it as invalid or lacks a number."""
+    """Add the pose in a row to a trial. It becomes NaN if the row marks it as invalid.
+
+    A number that the row lacks also becomes NaN.
+    """
     trial.poses_path = columns.path
     robot = row.cells.get("robot", "")
     number = trial.robots.setdefault(robot, len(trial.robots))
@@ -205,7 +208,10 @@ def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
 
 
 def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the direction in a row. Without a direction, nothing was sent at this step."""
+    """Add the direction in a row to a trial. A row without a direction adds nothing.
+
+    A negative lag is a `UsageError`.
+    """
     trial.commands_path = columns.path
     direction = columns.number(row, "direction")
     if math.isnan(direction):
@@ -336,7 +342,7 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
 
 
 def _unseen_robots(trials: list[_Numbers]) -> set[str]:
-    """Return the robots of which no trial has a pose."""
+    """Return the robots that have no complete pose (x, y, heading) in any of the trials."""
     with_pose = set[str]()
     for numbers in trials:
         rows = numbers.pose_rows()
@@ -426,7 +432,7 @@ def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -
 def _required(
     path: Path, headers: Collection[str], name: str, units: Mapping[str, float]
 ) -> NumberColumn:
-    """Return the column for a name.
+    """Return the column for a name that the table is known to have, in any of these units.
 
     Raises:
         UsageError: If the column has another unit.
@@ -439,7 +445,10 @@ def _required(
 def _position_columns(
     path: Path, headers: Collection[str]
 ) -> tuple[str, NumberColumn, NumberColumn]:
-    """Find the columns of x and y, and return them with their unit."""
+    """Find the columns of x and y, and return their unit, x and y.
+
+    Both must have the same unit, otherwise a `UsageError` is raised.
+    """
     named = {name_and_unit(header): header for header in headers}
     for unit in METRES:
         if ("x", unit) in named and ("y", unit) in named:
@@ -563,7 +572,10 @@ class _Commands:
 
 
 def names_of(robots: Collection[str]) -> str:
-    """Join the names of robots to a text for messages."""
+    """Join the names of robots for a message, sorted and separated by commas.
+
+    An empty name is shown as "rows without a robot".
+    """
     return ", ".join(printable(robot) or "rows without a robot" for robot in sorted(robots))
 
 
@@ -626,7 +638,11 @@ def _refuse_times_apart(path: Path, begin: float, by_robot: Sequence[Floats]) ->
 
 
 def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Floats]:
-    """Sort POSE_ROWs (R,) by time; return times (M,) and poses (M, N, 3), NaN where missing."""
+    """Sort POSE_ROWs (R,) by time, and return times (M,) and poses (M, N, 3).
+
+    Poses that are missing are NaN, and robots come in the order of their numbers. More than
+    POSES_MAX poses are a `UsageError`.
+    """
     _, robots = np.unique(rows["robot"], return_inverse=True)
     time, frames = np.unique(rows["time"], return_inverse=True)
     if len(time) * count > POSES_MAX:

@@ -82,7 +82,7 @@ class DrivenTrack:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first pose to the last [s]."""
+        """Time from the first pose to the last [s]. It is 0 without poses."""
         return float(self.pose_s[-1] - self.pose_s[0]) if len(self.pose_s) else 0.0
 
     def integrals(self, dead_time: float, lag: float, drift: float = 0.0) -> Floats:
@@ -124,7 +124,8 @@ class DrivenTrack:
     def sent(self, delay: float) -> Floats:
         """Compute the commanded distance and turn in each step, shape (S, 2).
 
-        Commands act a delay [s] after they were sent.
+        Commands act a delay [s] after they were sent. All values are 0 if nothing was
+        sent.
         """
         if not len(self.sent_s):
             return np.zeros((len(self.steps.turned), 2))
@@ -144,7 +145,11 @@ class DrivenTrack:
 
 
 def driven_track(track: Track, robot: int) -> DrivenTrack:
-    """Select the steps and the commands of one robot in a track."""
+    """Select the steps and the commands of one robot in a track.
+
+    Steps lead between poses at least STEP_S apart at which the robot drives as commanded.
+    Commands with a NaN are left out.
+    """
     times_s = track.exposed[:, robot]
     frames = np.flatnonzero(track.commanded[:, robot])
     frames = frames[rows_apart(times_s[frames], STEP_S)]
@@ -193,7 +198,10 @@ class UsedSteps:
 
     @property
     def way(self) -> Floats:
-        """Distance travelled along the heading in each step, shape (M,) [length unit]."""
+        """Distance travelled along the heading in each step, shape (M,) [length unit].
+
+        It is negative for a step backwards.
+        """
         return self.moved.real
 
     @property
@@ -231,7 +239,10 @@ class UsedSteps:
 
     @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
     def _with_lag(self, dead_time: float, lag: float, drift: float) -> Floats:
-        """Integrate both rates over each step with the same lag, shape (M, 2)."""
+        """Integrate both rates over each step with the same lag [s], shape (M, 2).
+
+        `dead_time` and `drift` have the meaning that they have in `integrals_of`.
+        """
         return integrals_of(self.tracks, dead_time, lag, drift)[self.rows]
 
 
@@ -294,24 +305,30 @@ def used_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> UsedS
 
 
 def _are_in_one_ratio(driven: Floats) -> bool:
-    """Check whether two integrals (M, 2) are proportional to each other."""
+    """Check whether two integrals (M, 2) are nearly proportional to each other.
+
+    The result is False if one of them is 0 throughout.
+    """
     lengths = np.linalg.norm(driven, axis=0)
     product = float(driven[:, 0] @ driven[:, 1])
     return bool(lengths.all()) and product**2 > ONE_RATIO * float(np.prod(lengths)) ** 2
 
 
 def _longest(steps: PoseSteps) -> float:
-    """Compute the duration above which a step is left out [s]."""
+    """Compute the duration above which a step is left out [s]: LONGEST times the median.
+
+    It is at least LONGEST_S, also if there are no steps.
+    """
     if not len(steps.duration_s):
         return LONGEST_S
     return max(LONGEST_S, LONGEST * float(np.median(steps.duration_s)))
 
 
 def _require_enough(name: str, drives: Bools) -> None:
-    """Check that a robot drives in enough steps (S,).
+    """Check that a robot drives in at least INTERVALS_MIN steps (S,).
 
     Raises:
-        UsageError: If it drives in too few.
+        UsageError: If it drives in fewer.
     """
     if drives.sum() < INTERVALS_MIN:
         raise UsageError(
@@ -352,7 +369,11 @@ def _usual_rates(steps: PoseSteps) -> Floats:
 
 
 def _share(motion: Floats, sent: Floats) -> float:
-    """Compute the fraction of a motion (3, S) that the commanded rates (S, 2) explain."""
+    """Compute the fraction of a motion (3, S) that the commanded rates (S, 2) explain.
+
+    The motion is turning rate, speed ahead and speed aside. If the robot does not turn in the
+    commanded sense, the fraction is multiplied by REVERSED.
+    """
     turn_rate, ahead, aside = motion
     speed, rate = sent.T
     of_turns = _correlation(rate, turn_rate)

@@ -216,7 +216,10 @@ def _searched(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
 
 
 def _likeliest(passed: Passed) -> int:
-    """Return the index of the most likely dead time in a pass that tried each factor of RATES."""
+    """Return the index of the dead time that is most likely for all robots together.
+
+    The pass must have tried each factor of RATES, and each robot takes its most likely factor.
+    """
     by_rate = passed.likelihood.reshape(len(passed.likelihood), -1, len(RATES))
     of_all_robots = by_rate.max(axis=2).sum(axis=1)
     return int(of_all_robots.argmax())
@@ -277,7 +280,7 @@ class _Fit:
         return float(taus[best]), passed.mean[best, best_rows], passed.std[best, best_rows]
 
     def fit_noise(self) -> None:
-        """Do one Newton step for the parameters of the noise."""
+        """Do one Newton step for the parameters of the noise, and set their standard deviations."""
 
         def likelihood(noise: Floats) -> Floats:
             """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
@@ -318,7 +321,10 @@ class _Fit:
         return passed
 
     def _prior(self, rows: np.ndarray, noise: Floats) -> PassPrior:
-        """Create the prior of a pass for robots `rows` (R,) with noise (R, 4)."""
+        """Create the prior of a pass for robots `rows` (R,) with parameters of the noise (R, 4).
+
+        It is WIDER times as wide as the present estimate, up to MOST_STD.
+        """
         std = np.minimum(WIDER * self.std, MOST_STD)[rows]
         deviations = self._deviations(rows, noise)
         return PassPrior(
@@ -326,7 +332,11 @@ class _Fit:
         )
 
     def _deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
-        """Convert parameters of the noise (R, 4) to standard deviations (R, 4)."""
+        """Convert noise parameters (R, 4) of robots `rows` (R,) to standard deviations (R, 4).
+
+        Even columns hold logarithms, and odd columns hold factors whose sign does not
+        count.
+        """
         factors = np.abs(noise)
         factors[:, ::2] = np.exp(np.minimum(noise[:, ::2], LN_MOST))
         return self._unit[rows] * factors
@@ -382,7 +392,10 @@ class _Fit:
     def result(
         self, names: Sequence[str], all_commands: bool
     ) -> tuple[SampleInterval, tuple[FittedRobot, ...]]:
-        """Return the dead time and the values of robots with these names, with their intervals."""
+        """Return the dead time and the values of robots with these names, with 95 % intervals.
+
+        Correlated heading residuals count as a misfit only if `all_commands` is set.
+        """
         watched = self.fit_motion(watched=True)
         self._widen()
         correlated = _is_correlated(watched.heading_residuals)
@@ -427,7 +440,11 @@ class _Fit:
         return SampleInterval(*np.maximum(ends, least).tolist())
 
     def _motion_intervals(self) -> Floats:
-        """Return a, speed and bias of each robot (N, 3, 3): value, lower and upper end of each."""
+        """Return a, speed and bias of each robot (N, 3, 3): value, lower and upper end of each.
+
+        The ends are infinite, or 0 and infinite for a and speed, if the data do not bound
+        the value.
+        """
         deviations = self.std.copy()
         if any(track.lag > 0 for track in self.frames):
             deviations[:, 0] = np.hypot(deviations[:, 0], np.exp(self.mean[:, 0]) * DELAY_S)
@@ -438,7 +455,7 @@ class _Fit:
         return motion
 
     def _noise_intervals(self) -> Floats:
-        """Return the intervals of each robot's noise (N, 4, 3): value, lower and upper end."""
+        """Return the noise of each robot (N, 4, 3), as a standard deviation and its two ends."""
         rows = np.arange(len(self.noise))
         value = np.abs(self.noise)
         value[:, ::2] = self.noise[:, ::2]

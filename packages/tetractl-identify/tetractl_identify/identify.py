@@ -233,7 +233,10 @@ def _turning_explained(
 
 
 def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot) -> Explained:
-    """Compute how much of a robot's distance travelled its fitted speed explains."""
+    """Compute how much of a robot's distance travelled its fitted speed explains.
+
+    Only steps count in which the robot drives as commanded. Without any, the fraction is None.
+    """
     parts: list[PoseSteps] = []
     begin_s: list[Floats] = []
     for track in tracks:
@@ -323,7 +326,7 @@ def spec_section(result: IdentifiedRobots, when: str) -> Identified:
 
 
 def _spec_value(interval: SampleInterval) -> IdentifiedValue:
-    """Create a value of the spec, with the ends of its interval that are known."""
+    """Create a value of the spec. An end of its interval that is NaN or infinite becomes None."""
     return IdentifiedValue(
         value=interval.value,
         low=interval.low if math.isfinite(interval.low) else None,
@@ -355,7 +358,10 @@ _WHY_NO_INTERVALS = {
 
 
 def tables(result: IdentifiedRobots) -> list[Table]:
-    """Create tables of all values with 95 % intervals: a row per value, a column per robot."""
+    """Create tables of all values with 95 % intervals: a row per value, a column per robot.
+
+    Each table has at most _ABREAST robots. All tables have the same title and notes.
+    """
     logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
     title = f"{logs}, {result.commands} directions: {result.origin}; 95 % intervals"
     dead_time = f"dead time from sending: {cell(result.dead_time)} s"
@@ -426,7 +432,7 @@ def _entries(result: IdentifiedRobots, number: int) -> list[str]:
 
 
 def _fit_text(robots: Sequence[FittedRobot]) -> str:
-    """Describe in words whether the model fits."""
+    """Describe in words whether the model fits, and name each robot that it does not fit."""
     misfits = [f"{robot.name} ({', '.join(robot.misfits)})" for robot in robots if robot.misfits]
     if not misfits:
         return "the model fits"
@@ -434,9 +440,10 @@ def _fit_text(robots: Sequence[FittedRobot]) -> str:
 
 
 def cell(interval: SampleInterval) -> str:
-    """Format a value and its interval for a table.
+    """Format a value and its interval for a table, as "value (low to high)".
 
-    Both are rounded to two significant digits of half the interval's width.
+    Both are rounded to two significant digits of half the interval's width. An infinite end is
+    shown as "?", and the interval is left out if its lower end is NaN.
     """
     if math.isnan(interval.low):  # not stated; infinite if the data do not bound the value
         return f"{interval.value:.2g}"

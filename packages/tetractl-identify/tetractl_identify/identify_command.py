@@ -67,7 +67,10 @@ def identify(
 
 
 def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int:
-    """Identify robots from CSV files of directions or of speeds."""
+    """Identify robots from CSV files of directions or of speeds, and print the values.
+
+    The first table decides which of the two it is. `out` is refused for speeds.
+    """
     from tetractl_identify.csv_tracks import csv_tracks
     from tetractl_identify.identify import identify as identify_robots
 
@@ -84,7 +87,11 @@ def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int
 
 
 def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_json: bool) -> int:
-    """Identify robots from logs. The spec in the first log gives the expected values."""
+    """Identify robots from logs, print the values, and return the exit code.
+
+    The spec in the first log gives the expected values. The exit code is FAILED if a log is
+    damaged. `out` is refused with `wheels`.
+    """
     from tetractl_identify.identify import identify as identify_robots
 
     if wheels:
@@ -145,7 +152,11 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
 
 
 def _show_response(tracks: "list[Track]", as_json: bool) -> None:
-    """Print how robots follow speeds and turning rates."""
+    """Print how robots follow speeds and turning rates.
+
+    All tracks must have the same robots, length unit and field strength, otherwise a
+    `UsageError` is raised.
+    """
     from tetractl_identify.response import respond
     from tetractl_identify.robot_response import response_table
     from tetractl_identify.tracks import require_same

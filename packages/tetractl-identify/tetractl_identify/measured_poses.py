@@ -53,7 +53,10 @@ LEAST_WAY = 1e-9
 
 
 def measured(times: Floats, poses: Floats) -> Bools:
-    """Find which poses (M, 3) of a robot at `times` (M,) [s] are real measurements."""
+    """Find which poses (M, 3) of a robot at `times` (M,) [s] are real measurements.
+
+    Repeated poses and jumps are not. The result has shape (M,).
+    """
     if not len(times):
         return np.zeros(0, dtype=np.bool_)
     without_repeats = np.flatnonzero(~_repeats(poses))
@@ -83,7 +86,10 @@ def _repeats(poses: Floats) -> Bools:
 
 
 def _fast(steps: Floats) -> float:
-    """Compute the quantile FAST of the distances or turns (M - 1,) that are not 0."""
+    """Compute the quantile FAST of the distances or turns (M - 1,) that are above 0.
+
+    The result is 0 if there are none.
+    """
     changes = steps[steps > 0]
     return float(np.quantile(changes, FAST)) if changes.size else 0.0
 
@@ -142,7 +148,10 @@ class _Jumps:
         return cls(times, poses, float(speed), float(rate), usual_s, noise)
 
     def between(self, first: Integers, second: Integers) -> Bools:
-        """Check whether the robot jumps between the poses of each of K pairs, shape (K,)."""
+        """Check whether the robot moves or turns too far between the poses of each of K pairs (K,).
+
+        `first` and `second` are indices of poses.
+        """
         apart_s = np.maximum(self.times[second] - self.times[first], self.usual_s)
         moved = self.poses[second] - self.poses[first]
         way = np.hypot(moved[:, 0], moved[:, 1])

@@ -46,7 +46,10 @@ Z_UP = 0.25
 
 
 def table_rows(path: Path) -> Iterator[CsvRow]:
-    """Read the rows of a CSV file. If Motive exported the file, its poses are converted to rows."""
+    """Read the rows of a CSV file, in their order.
+
+    If Motive exported the file, its poses are converted to the rows that other files have.
+    """
     first = next(csv_lines(path), None)
     is_of_motive = first is not None and first[1].startswith(FIRST)
     return motive_rows(path) if is_of_motive else read_csv(path)
@@ -95,7 +98,10 @@ class _Take:
 
 
 def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
-    """Read the header of a file from Motive, and return it with the lines below it."""
+    """Read the header of a file from Motive, and return it with the lines below it.
+
+    Coordinates relative to other bodies, and an unknown length unit, are a `UsageError`.
+    """
     lines = csv_lines(path)
     top = next(lines)[1]
     separator = top[len(FIRST)] if len(top) > len(FIRST) else ","
@@ -202,7 +208,10 @@ def _bodies(
 
 
 def _number(path: Path, line: int, entry: str) -> float:
-    """Read the number in an entry. NaN if the entry is empty."""
+    """Read the number in an entry. NaN if the entry is empty or a time code.
+
+    Any other text is a `UsageError`, which names the file and the line.
+    """
     if not entry or entry.count(":") > 1:  # nothing, or a time code
         return np.nan
     if not is_number(entry):

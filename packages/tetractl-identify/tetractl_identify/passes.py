@@ -174,7 +174,10 @@ def intervals_used(tracks: Sequence[TrackFrames]) -> Integers:
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
-    """Compute the median speed of each robot between frames (N,) [length unit/s]."""
+    """Compute the median speed of each robot between frames (N,) [length unit/s].
+
+    Only intervals in which a robot drives count. The speed is infinite if a robot has none.
+    """
     paces = []
     for track in tracks:
         way = np.diff(track.poses[..., :2], axis=0)
@@ -252,7 +255,10 @@ def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
 
 
 def _usual(pace: Floats) -> Floats:
-    """Compute the median of each column. It is infinite for a column without numbers."""
+    """Compute the median of each column without NaN.
+
+    It is infinite for a column without numbers.
+    """
     medians = []
     for column in pace.T:
         numbers = column[np.isfinite(column)]
@@ -360,7 +366,11 @@ def run(
 
 
 def _begin_track(bank: Bank, track: TrackFrames) -> None:
-    """Give each row a single hypothesis at the beginning of a track."""
+    """Give each row a single hypothesis at the beginning of a track.
+
+    Without a lag, the first direction of the track acts already. With a lag, the wheels stand
+    still until it acts.
+    """
     bank.ln_weight[...] = -np.inf
     bank.ln_weight[..., 0] = 0.0
     bank.state[..., LAG] = track.lag

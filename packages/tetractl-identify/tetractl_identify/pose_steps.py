@@ -38,7 +38,11 @@ class PoseSteps:
 
     @classmethod
     def between(cls, times: Floats, poses: Floats) -> "PoseSteps":
-        """Compute the steps between poses, shape (S + 1, 3), at times, shape (S + 1,) [s]."""
+        """Compute the steps between poses (S + 1, 3) at times (S + 1,) [s].
+
+        The robot is assumed to travel along an arc, so a step is a length along it and to
+        its left.
+        """
         x, y, heading = poses.T
         turned = np.asarray(wrap(np.diff(heading)), dtype=np.float64)
         chord_of_arc = np.sinc(turned / (2 * np.pi))

@@ -126,7 +126,10 @@ def _search(steps: UsedSteps, units: ResponseParameters) -> tuple[Floats, Floats
     """
 
     def posteriors(vectors: Floats) -> Floats:
-        """Compute the ln posterior (V,) of vectors (V, 8), with a normal prior around 0."""
+        """Compute the ln posterior (V,) of vectors (V, 8), with a normal prior around 0.
+
+        It is UNLIKELY where it would not be finite.
+        """
         scores = np.zeros(len(vectors))
         for i, vector in enumerate(vectors):
             parameters = units.at(vector)
@@ -269,26 +272,35 @@ def _inverse(curvature: Floats) -> Floats:
 
 
 def _normal(value: float, std: float) -> SampleInterval:
-    """Create the normal interval of a value."""
+    """Create the 95 % interval of a normally distributed value with this standard deviation."""
     reach = NORMAL * std
     return SampleInterval(value, value - reach, value + reach)
 
 
 def _dead_time(value: float, std: float) -> SampleInterval:
-    """Create the interval of the dead time. It has no ends if the data do not limit it."""
+    """Create the interval of the dead time [s].
+
+    Its ends are infinite if the data do not limit the dead time to within UNKNOWN_S.
+    """
     if NORMAL * std > UNKNOWN_S:
         return SampleInterval(value, -math.inf, math.inf)
     return _normal(value, math.hypot(std, RESOLVED_S))
 
 
 def _lag_interval(value: float, std: float) -> SampleInterval:
-    """Create the interval of a lag. It begins at 0 if the lag is at its minimum."""
+    """Create the interval of a lag [s] whose logarithm has this standard deviation.
+
+    It begins at 0 if the lag is near its minimum, at most twice SHORTEST_LAG_S.
+    """
     interval = _log_normal(value, math.hypot(std, RESOLVED_S / value))
     return replace(interval, low=0.0) if value <= 2 * SHORTEST_LAG_S else interval
 
 
 def _log_normal(value: float, std: float) -> SampleInterval:
-    """Create the interval of a value whose logarithm is normal."""
+    """Create the interval of a value whose logarithm is normal with this standard deviation.
+
+    It reaches from 0 to infinity if the logarithm is uncertain by more than UNKNOWN.
+    """
     reach = NORMAL * std
     if reach > UNKNOWN:
         return SampleInterval(value, 0.0, math.inf)

@@ -73,7 +73,7 @@ class RobotResponse:
 
     @property
     def quantities(self) -> dict[str, SampleInterval]:
-        """The values by name, in the order of a table's rows."""
+        """The values by name, in the order of a table's rows. Values that are None are left out."""
         values = {name: getattr(self, name) for name in UNITS}
         return {name: value for name, value in values.items() if value is not None}
 

@@ -84,7 +84,7 @@ class ResponseParameters:
 
 
 def _lag(lag_s: float) -> float:
-    """Limit a lag [s] to the range that is tried."""
+    """Limit a lag [s] to the range from SHORTEST_LAG_S to LONGEST_LAG_S."""
     return min(max(lag_s, SHORTEST_LAG_S), LONGEST_LAG_S)
 
 

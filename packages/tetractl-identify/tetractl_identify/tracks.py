@@ -92,23 +92,32 @@ class Track:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The files that the poses and the commands come from, without unknown ones."""
+        """The files that the poses and the commands come from.
+
+        A file that is unknown is left out.
+        """
         return tuple(filter(None, (self.source, self.commands_source)))
 
     @property
     def exposed(self) -> Floats:
-        """When each robot was exposed in each of M frames, shape (M, N) [s]."""
+        """When each robot was exposed in each of M frames, shape (M, N) [s].
+
+        It is the frame's time for all robots, unless each robot has its own times.
+        """
         if self.own_times.size:
             return self.own_times
         return np.repeat(self.time[:, None], len(self.names), axis=1)
 
     @property
     def commanded(self) -> Bools:
-        """The poses (M, N) of robots that drive as commanded, as far as the log shows."""
+        """Whether a pose (M, N) is valid, and its robot is not known to ignore its commands."""
         return self.valid & ~self.silent if self.silent.size else self.valid
 
     def received_by(self, robot: int) -> Bools:
-        """Find the commands (C,) that a robot received, as far as the log shows."""
+        """Find which commands (C,) a robot received, as far as the log shows.
+
+        If the log does not show it, the result is True for all commands.
+        """
         if self.received.size:
             return self.received[:, robot]
         return np.ones(len(self.sent), dtype=np.bool_)

@@ -30,7 +30,11 @@ Values = Mapping[str, SampleInterval]
 
 
 def is_determined(name: str, value: SampleInterval) -> bool:
-    """Check whether the data determine a value: its interval has both ends, not too far apart."""
+    """Check whether the data determine a value.
+
+    Its interval must have two finite ends that are not too far apart. A value whose
+    interval is not stated, with NaN as its ends, counts as determined.
+    """
     if math.isnan(value.low):
         return True  # its interval is not stated
     reach = max(value.high - value.value, value.value - value.low)
@@ -39,17 +43,20 @@ def is_determined(name: str, value: SampleInterval) -> bool:
 
 
 def may_be_usual(name: str, value: SampleInterval) -> bool:
-    """Check whether the interval of a value contains usual values."""
+    """Check whether the interval of a value overlaps the range of usual values for this name."""
     return _overlaps(value, *USUAL[name])
 
 
 def _overlaps(value: SampleInterval, low: float, high: float) -> bool:
-    """Check whether the interval of a value overlaps a range."""
+    """Check whether the interval of a value overlaps a range. Ends that touch count as overlap."""
     return value.low <= high and value.high >= low
 
 
 def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bool:
-    """Check whether a value is outside a range. Except for gains, its interval decides."""
+    """Check whether a value's whole interval is outside a range.
+
+    For gains, and for values without an interval, the value itself decides.
+    """
     if name in GAINS or math.isnan(value.low):
         return not low <= value.value <= high
     return value.high < low or value.low > high

@@ -92,7 +92,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
     @property
     def trial(self) -> OpenTrial:
-        """The trial that runs.
+        """The trial of the present episode.
 
         Raises:
             UsageError: If the environment was not reset yet.
@@ -156,7 +156,10 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return self._observed(), self._take_reward(error), terminated, not terminated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Draw the episode so far, shape (height, width, 3). None without a render mode."""
+        """Draw the episode so far as an RGB image, shape (height, width, 3).
+
+        None without a render mode.
+        """
         if self.render_mode is None:
             return None
         from tetractl.view.figures.trajectory import arena_picture  # matplotlib, only if drawn
@@ -173,7 +176,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return decrease / self._start_error
 
     def _observed(self) -> Features:
-        """Return the newest observation within the bounds of its space."""
+        """Return the newest observation, with each feature clipped to the bounds of the space."""
         trial = self.trial
         unbounded = features(trial.setup, trial.observation, trial.last_direction)
         space = self.observation_space
@@ -200,7 +203,10 @@ def _vector(action: object) -> Floats:
 
 
 def greatest_error(setup: Setup) -> float:
-    """Compute the maximum sum of distances to the targets in the arena [length unit]."""
+    """Compute the largest sum of the robots' distances to their targets in the arena [length unit].
+
+    Each robot is then in the corner of the arena that is farthest from its target.
+    """
     arena = setup.arena
     x = np.maximum(setup.targets[:, 0] - arena.left, arena.right - setup.targets[:, 0])
     y = np.maximum(setup.targets[:, 1] - arena.bottom, arena.top - setup.targets[:, 1])

@@ -143,7 +143,11 @@ class PolicyController(PlainController):
         return super().plan(observation, last_command, earlier)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan:
-        """Plan the direction that the policy chooses; see `PlainController.decided`."""
+        """Plan the direction that the policy chooses; see `PlainController.decided`.
+
+        Raises:
+            ControlError: If an output of the network is not a finite number.
+        """
         outputs = forward(
             self._layers,
             self._activation,

@@ -104,7 +104,7 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
 
 
 def _packed(layer: Any) -> dict[str, Any]:
-    """Convert a layer of a file to the form of a spec.
+    """Convert a layer of a file, with the keys `weights` and `bias`, to the form of a spec.
 
     Raises:
         ValueError: If its shapes do not fit.

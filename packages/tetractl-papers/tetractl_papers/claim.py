@@ -88,7 +88,7 @@ def mean_of(values: Floats) -> OurNumber:
 
 
 def share_of(values: Floats) -> OurNumber:
-    """Compute the fraction of values (n,) that are above 0, with Wilson's interval."""
+    """Compute the fraction of values (n,) that are above 0, with Wilson's 95 % interval."""
     n = len(values)
     count = int(np.sum(values > 0))
     interval = proportion_interval(count, n)
@@ -140,7 +140,7 @@ def at_least(bound: float) -> Asked:
 
 
 def rarely(fraction: float = 0.05) -> Asked:
-    """Create the criterion that values are above 0 in at most this fraction of the trials."""
+    """Create the criterion that values are above 0 in at most this fraction of trials (0 to 1)."""
     return Asked(f"in fewer than {100 * fraction:g} %", share_of, _within(-math.inf, fraction))
 
 
@@ -251,7 +251,10 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
 
 
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:
-    """Compute the claim's measure of each trial, shape (n,)."""
+    """Compute the claim's measure of each trial, shape (n,), in the order of the trials.
+
+    A measure that is NaN or infinite is an `AssertionError`.
+    """
     values = np.array([claim.measure(trial) for trial in trials], dtype=float)
     assert np.isfinite(values).all(), f"{claim.figure}: the trials have no such number"
     return values

@@ -114,7 +114,11 @@ class Ensemble(PlainController):
         return replace(self.problem, poses=poses)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
-        """Rotate the field, switch it off, or end the trial; see `PlainController.decided`."""
+        """Rotate the field, switch it off, or end the trial; see `PlainController.decided`.
+
+        The field is off while that lowers the sum of the distances enough. The outcome is
+        NO_BETTER_PLAN if `turns` rotations of the field have not lowered it.
+        """
         section = self.section
         error = problem.poses.distances(problem.targets).sum()  # V
         straight = driven(problem, problem.poses, None, section.period)
@@ -149,7 +153,10 @@ class Ensemble(PlainController):
         self._turned_rad += step_rad
 
     def _planned(self, problem: Problem, signals: Floats, end: Poses, step_key: int) -> Plan:
-        """Create the plan of one control period that ends at the poses `end`."""
+        """Create the plan of one control period that ends at the poses `end`.
+
+        Its action is FieldOff if the field is off, whatever `signals` are.
+        """
         path = np.stack([problem.poses.array(), end.array()])
         foreseen = foreseen_along(problem, path)
         search = given_search(problem, signals, foreseen)

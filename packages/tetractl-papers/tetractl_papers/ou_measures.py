@@ -16,13 +16,19 @@ EARLY = 10
 
 
 def total_error(log: TrialLog) -> float:
-    """Return the sum of the robots' final distances to their targets [length unit]."""
+    """Return the sum of the robots' final distances to their targets [length unit].
+
+    The log must have a result.
+    """
     assert log.result is not None, "a batch's trial has a result"
     return log.result.total_error
 
 
 def error_of_a_robot(log: TrialLog) -> float:
-    """Return the mean of the robots' final distances to their targets [length unit]."""
+    """Return the mean of the robots' final distances to their targets [length unit].
+
+    The log must have a result.
+    """
     return total_error(log) / len(log.start.setup.names)
 
 
@@ -43,7 +49,7 @@ def left(log: TrialLog) -> bool:
 
 
 def iterations(log: TrialLog) -> float:
-    """Return the mean number of iterations after which criterion (20) ended a search."""
+    """Return the mean number of iterations, over all searches of a trial, until (20) ended them."""
     ends = [len(search.history) - 1 for step in log.steps for search in step.plan.searches]
     return float(np.mean(ends))
 
@@ -70,7 +76,10 @@ def warm_gain(log: TrialLog) -> float:
 
 
 def off_start(log: TrialLog) -> float:
-    """Return the robots' mean distance between first and last true position [length unit]."""
+    """Return the robots' mean distance between first and last true position [length unit].
+
+    The trial must be simulated.
+    """
     assert log.truth is not None, "the trials are simulated"
     moved = (log.truth[-1] - log.truth[0])[:, :2]
     distances = np.hypot(moved[:, 0], moved[:, 1])
@@ -78,13 +87,16 @@ def off_start(log: TrialLog) -> float:
 
 
 def chosen_history(log: TrialLog) -> Floats:
-    """Return J after each iteration of the search that found the plan of step 0."""
+    """Return J after each iteration of the search that found the plan of step 0 [length unit].
+
+    The first value is J before the first iteration.
+    """
     plan = log.steps[0].plan
     return plan.searches[plan.chosen].history
 
 
 def early_share(log: TrialLog) -> float:
-    """Return the fraction of a search's decrease of J that its first EARLY iterations achieve."""
+    """Return the fraction of J's decrease in the search of step 0 that EARLY iterations achieve."""
     j = chosen_history(log)
     return float((j[0] - j[EARLY]) / (j[0] - j[-1]))
 
@@ -107,7 +119,10 @@ def _straightness(values: Floats) -> float:
 
 
 def space(log: TrialLog) -> float:
-    """Compute the area of the paths' bounding box, relative to that of all starts and targets."""
+    """Compute the area of the paths' bounding box, relative to that of all starts and targets.
+
+    The paths are the true ones, so the trial must be simulated.
+    """
     setup = log.start.setup
     assert log.truth is not None, "the trials are simulated"
     ends = np.concatenate([setup.starts.xy, setup.targets])
@@ -177,6 +192,9 @@ def spinning_time(angle: Floats, time_s: Floats) -> float:
 
 
 def _if_whole_turn(angle: Floats, time_s: Floats, begin: int, end: int) -> float:
-    """Return the duration of a piece [s], or 0 if it is less than a whole turn."""
+    """Return the duration of a piece [s], or 0 if the angle [rad] changes by less than a turn.
+
+    `begin` and `end` are the indices of its first and last sample.
+    """
     turns = abs(angle[end] - angle[begin]) >= 2 * np.pi
     return float(time_s[end] - time_s[begin]) if turns else 0.0

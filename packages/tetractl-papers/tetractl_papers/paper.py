@@ -90,7 +90,10 @@ def table(name: str, source: str, rows: Sequence[Row]) -> Table:
 
 
 def _number(number: OurNumber, unit: str) -> str:
-    """Format our number with its unit, or as "k of n" if it is a fraction of trials."""
+    """Format our number with its unit, or as "k of n" if it is a fraction of trials.
+
+    NaN is shown as "unknown". The two means of a difference follow in brackets.
+    """
     if number.kind is NumberKind.SHARE:
         return f"{round(number.value * number.n)} of {number.n}"
     if math.isnan(number.value):  # the deviation of a single trial
@@ -108,7 +111,10 @@ def _length(value: float) -> str:
 
 
 def _interval(number: OurNumber) -> str:
-    """Format the interval of our number. "none" if it is unknown or a point."""
+    """Format the interval of our number, in percent if it is a fraction of trials.
+
+    The text is "none" if the interval is unknown or a point.
+    """
     if number.kind is NumberKind.SHARE:
         return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
     if math.isnan(number.low) or number.low == number.high:

@@ -101,7 +101,10 @@ def _dots(axes: Axes, points: Floats, color: str, size: float, **look: Any) -> N
 
 
 def _shades(axes: Axes, history: SwarmHistory) -> AxesImage:
-    """Draw J over the two signals as an image, with lower J in lighter grey."""
+    """Draw J over the two signals as an image, with lower J in lighter grey.
+
+    Each of SHADES shades covers the same number of grid points.
+    """
     shares = np.linspace(0, 1, SHADES + 1)
     levels = np.unique(np.quantile(history.costs, shares))
     if len(levels) < 2:

@@ -134,9 +134,10 @@ def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:
-    """Compute J on a grid over the first two signals, shape (GRID, GRID).
+    """Compute J [length unit] on a grid over the first two signals, shape (GRID, GRID).
 
-    The other signals are taken from `u_gb`.
+    Columns are values of the first signal, rows are values of the second. The other signals
+    are taken from `u_gb`.
     """
     axis = np.linspace(LOWER, UPPER, GRID)
     costs = np.empty((GRID, GRID))

@@ -67,7 +67,11 @@ def _logs(
     count: int,
     run_batch: RunBatch,
 ) -> list[TrialLog]:
-    """Run the missing trials of an arm, and return the logs of all its trials."""
+    """Run the missing trials of an arm, and return the logs of all its trials in order.
+
+    If the arm takes its plans from another arm, each of that arm's first `count` trials gives
+    the plan of one trial. Then that arm's results must be in `results`.
+    """
     spec = specs[arm.example]
     if arm.plans_of is not None:
         logs = list[TrialLog]()
@@ -82,7 +86,10 @@ def _logs(
 
 
 def open_loop(log: TrialLog) -> str:
-    """Return the setting of a controller that sends the plan of a trial's step 0, open loop."""
+    """Return the spec setting of a controller that sends the plan of a trial's step 0, open loop.
+
+    It has the form "controller={...}", as for `--set`.
+    """
     directions = log.steps[0].plan.signals.tolist()
     period_s = log.experiment.controller.period
     return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
@@ -91,7 +98,10 @@ def open_loop(log: TrialLog) -> str:
 def _batch(
     path: Path, sets: Sequence[str], folder: Path, count: int, run_batch: RunBatch
 ) -> list[TrialLog]:
-    """Run the missing trials of a spec with settings, and return the logs of all its trials."""
+    """Run the missing trials of a spec with settings, and return the logs of all its trials.
+
+    `folder` keeps the logs. The seed is SEED, and the logs come in the order of the trials.
+    """
     trials = FieldValue("trials.count", count, "--trials")
     seed = FieldValue("trials.seed", SEED, "the seed of all papers")
     spec = load_spec(path, (*sets, trials, seed))

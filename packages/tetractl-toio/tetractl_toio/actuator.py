@@ -62,7 +62,7 @@ class ToioActuator(WheeledActuator):
         )
 
     def check(self) -> Health:
-        """Report whether the cubes are emulated."""
+        """Report whether the cubes are emulated. It never reports a problem."""
         return Health(emulated=self.link.emulated)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
@@ -91,7 +91,7 @@ class ToioActuator(WheeledActuator):
         return units.astype(np.int64)
 
     def _halt(self, emergency: bool) -> int:
-        """Stop every cube.
+        """Stop every cube, and return the time at which the commands were sent [ns].
 
         Cubes have no emergency stop that persists, so `emergency` is ignored.
         """
@@ -143,12 +143,16 @@ class ToioActuator(WheeledActuator):
         return sent_ns, outputs * self._gain
 
     def _receive(self, i: int, characteristic: int, data: bytes, _at_ns: int) -> None:
-        """Record the battery charge in a notification."""
+        """Record the battery charge [%] of cube `i`. Other notifications are ignored."""
         if characteristic == Characteristic.BATTERY and len(data) == 1:
             self._charge[i] = data[0]
 
     def _status(self, name: str, charge: int | None) -> RobotStatus:
-        """Describe a robot by its battery charge [%]. None if its cube did not answer."""
+        """Describe a robot by its battery charge [%]. None means that its cube did not answer.
+
+        No answer, and a charge below EMPTY, are problems. A charge below `battery_warn` is
+        a warning.
+        """
         if charge is None:
             return RobotStatus(
                 False, problems=(f"{name} does not answer: is its cube switched on?",)

@@ -61,7 +61,7 @@ class BluetoothPort(SerialPort):
         self._together = b""
 
     def open(self, alone: bool = True) -> None:
-        """Find the cube and connect to it.
+        """Find the cube and connect to it, within CONNECT_S seconds. `alone` is ignored.
 
         Raises:
             AbortError: If the cube is not found or does not answer.
@@ -103,7 +103,7 @@ class BluetoothPort(SerialPort):
         self._loop.close()
 
     async def _serve(self) -> None:
-        """Keep the connection until it is closed, and record why it failed."""
+        """Keep the connection until it is closed, and record why it failed. No error is raised."""
         try:
             await self._connected()
         except ImportError:
@@ -118,7 +118,10 @@ class BluetoothPort(SerialPort):
             self._ready.set()
 
     async def _connected(self) -> None:
-        """Find the cube, subscribe to its notifications, and wait until the port is closed."""
+        """Find the cube, subscribe to its notifications, and wait until the port is closed.
+
+        If the cube is not found within FIND_S seconds, this is recorded as the failure.
+        """
         from bleak import BleakClient, BleakScanner
 
         cube = await BleakScanner.find_device_by_filter(
@@ -140,7 +143,11 @@ class BluetoothPort(SerialPort):
             self._client = None
 
     async def _pass(self, kind: Characteristic, payload: bytes) -> None:
-        """Send one message to the cube: a write, or a read if the payload is empty."""
+        """Send one message to the cube: a write, or a read if the payload is empty.
+
+        Nothing happens without a connection. An error is recorded as the connection's
+        loss.
+        """
         client = self._client
         if client is None:
             return

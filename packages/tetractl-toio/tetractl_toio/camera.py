@@ -65,7 +65,7 @@ class CubeReports:
             self._number += 1
 
     def now(self) -> tuple[int, list[CubeReport]]:
-        """Return the number of reports so far, and the last report of each cube."""
+        """Return the number of reports so far, and each cube's last report, in the cubes' order."""
         with self._lock:
             return self._number, [*self._newest]
 
@@ -155,7 +155,10 @@ class ToioCamera:
         ]
 
     def check(self) -> Health:
-        """Check whether every cube sees the mat, and report each robot whose cube does not."""
+        """Check whether every cube sees the mat. Each robot whose cube does not is a problem.
+
+        A cube that has not reported yet counts as one that does not see the mat.
+        """
         _, reports = self._reports.now()
         problems = tuple(
             f"{name} does not see the mat: is the cube on the mat, and is its underside clean?"
@@ -208,7 +211,10 @@ class ToioCamera:
         return max(0, at_ns - round(self.section.latency * SECOND))
 
     def _receive(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
-        """Record the reading in a notification, and count notifications that cannot be decoded."""
+        """Record the reading in a notification of cube `i`.
+
+        Notifications that cannot be decoded only raise the count `damaged`.
+        """
         if characteristic == Characteristic.CONFIGURATION:
             self._configured.add(i)
         if characteristic != Characteristic.ID:
@@ -222,7 +228,10 @@ class ToioCamera:
         self._wake()
 
     def _pose(self, reading: CubeReading) -> Pose:
-        """Convert a reading to a pose in the spec's coordinates, whose y axis points up."""
+        """Convert a reading to a pose in the spec's coordinates, whose y axis points up.
+
+        Lengths are in the spec's unit, and the heading is in radians, anticlockwise.
+        """
         unit = self.section.unit_mm / (self.setup.metres * 1000)
         x = reading.x - self.section.origin[0]
         y = self.section.origin[1] - reading.y

@@ -45,7 +45,7 @@ class Cubes:
 
     @property
     def failure(self) -> str | None:
-        """The reason why a cube can no longer be reached. None if all cubes can be reached."""
+        """The reason why the first unreachable cube is lost. None if all cubes can be reached."""
         return next((link.failure for link in self._links.values() if link.failure), None)
 
     def open(self, listeners: Mapping[str, Listener]) -> None:
@@ -99,7 +99,9 @@ class Cubes:
     def _receiver_of(self, cube: str) -> OnReceived:
         """Create the callback for bytes from a cube.
 
-        It passes complete messages to the cube's listeners.
+        It passes each complete message to the cube's listeners. Of several messages of one
+        characteristic that arrive together, it passes only the last one. A refused setting
+        is recorded as the cube's failure.
         """
         unpacker = Unpacker()
 
@@ -150,12 +152,18 @@ class CubesLink:
 
     @property
     def failure(self) -> str | None:
-        """The reason why a cube can no longer be reached. None if all cubes can be reached."""
+        """The reason why a cube can no longer be reached.
+
+        It is None if all cubes can be reached, or if the connections are not open.
+        """
         return None if self._run is None else self._run.failure
 
     @property
     def emulated(self) -> bool:
-        """Whether a cube has reported that it is emulated."""
+        """Whether a cube has reported that it is emulated.
+
+        False if the connections are not open.
+        """
         return self._run is not None and self._run.emulated
 
     def open(self) -> None:
@@ -175,7 +183,11 @@ class CubesLink:
             del _RUNS[self._clock]
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write a value to a cube, or ask the cube for a value; see `Cubes.send`."""
+        """Write a value to a cube, or ask for one if `data` is empty; see `Cubes.send`.
+
+        Raises:
+            AbortError: If the connections are not open.
+        """
         if self._run is None:
             raise AbortError(f"cube {cube} is not connected", HINT)
         return self._run.send(cube, characteristic, data)

@@ -137,7 +137,10 @@ def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
 
 
 def _motor(motor: int, speed: int) -> tuple[int, int, int]:
-    """Return the three values that command one motor: its number, direction and absolute speed."""
+    """Return the three values that command one motor: its number, direction and absolute speed.
+
+    Speed 0 has the direction FORWARD.
+    """
     return motor, FORWARD if speed >= 0 else BACKWARD, abs(speed)
 
 
@@ -183,7 +186,10 @@ class Unpacker:
         self._left = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Add received bytes, and yield characteristic and data of each complete message."""
+        """Add received bytes, and yield characteristic and data of each complete message.
+
+        Bytes of an incomplete message are kept for the next call.
+        """
         self._left += data
         while len(self._left) >= 2 and len(self._left) >= 2 + self._left[1]:
             end = 2 + self._left[1]

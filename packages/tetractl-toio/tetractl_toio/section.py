@@ -106,7 +106,10 @@ class ToioSection(ActuatorSection):
         yield from too_fast(setup, self.speed_max_mm_s)
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield an error for each robot whose cube is another one in the camera's section."""
+        """Yield an error for each robot whose cube differs from its cube in the camera's section.
+
+        Cameras of other types, and robots that the camera does not list, yield none.
+        """
         cubes = isinstance(camera, ToioCameraSection)
         camera_cubes = {robot.name: robot.cube for robot in camera.robots} if cubes else {}
         for i, robot in enumerate(self.robots):

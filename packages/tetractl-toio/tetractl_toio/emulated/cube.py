@@ -92,18 +92,21 @@ class CubeProgram:
         return Status.RUNNING if running else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the packed answers since the last call."""
+        """Return the packed answers since the last call. Empty if there are none."""
         answers = self._answers
         self._answers = b""
         return answers
 
     def set_battery(self, battery_mv: int) -> None:
-        """Set the battery's charge, in steps of 10 %, from its voltage [mV]."""
+        """Set the battery's charge from its voltage [mV], in steps of 10 % from 0 to 100 %."""
         share = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
         self.charge = max(0, min(100, 10 * round(10 * share)))
 
     def _motor(self, payload: bytes, now_ms: int) -> None:
-        """Execute a motor command. An invalid command is ignored."""
+        """Execute a motor command, which ends after its duration [ms] or never if that is 0.
+
+        An invalid command is ignored.
+        """
         try:
             command = decode_motor(payload)
         except WireError:

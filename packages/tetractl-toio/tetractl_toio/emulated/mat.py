@@ -111,7 +111,11 @@ class EmulatedMat:
         return {"frames": self._exposures}
 
     def _read(self, i: int) -> None:
-        """Let a cube read the mat and report it if necessary, and schedule the next reading."""
+        """Schedule a cube's next reading, let the cube read the mat, and report it if necessary.
+
+        A cube reports only if it was asked or if notifications are on. It reports only
+        once that it sees no mat.
+        """
         timeline = self._stage.timeline
         cube = self.cubes[i]
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
@@ -136,7 +140,11 @@ class EmulatedMat:
         cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
 
     def _reading(self, cube: ConnectedCube) -> CubeReading | None:
-        """Return what a cube reads now, including faults. None if it does not see the mat."""
+        """Return what a cube reads now, including faults.
+
+        The result is None if the robots are carried, if a fault hides the cube, or if it is
+        outside the printed part of the mat.
+        """
         x = cube.x
         y = cube.y
         for jump in self.acting.of_kind("jump", cube.name):

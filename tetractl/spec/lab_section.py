@@ -145,7 +145,10 @@ class ActuatorSection(DeviceSection):
         """
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
-        """Create the actuator for the setup's robots, in their order, without opening it."""
+        """Create the actuator for the setup's robots, in their order, without opening it.
+
+        The class is imported only now.
+        """
         return resolve_name(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:

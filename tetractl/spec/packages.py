@@ -51,7 +51,10 @@ For an example, the name is that of the example or its folder.
 
 
 def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
-    """List the names of a group that are not present, each with the package that provides it."""
+    """List the names of a group that are not present, as (name, package that provides it).
+
+    Only names of tetractl's own packages are known.
+    """
     return [
         (name, package)
         for (its_group, name), package in BRINGS.items()

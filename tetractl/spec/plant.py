@@ -67,7 +67,10 @@ class PlantSection(Model):
 
     @property
     def microscope(self) -> Microscope | None:
-        """The camera, if its images have a known scale and position. Only labs have cameras."""
+        """The camera, if its images have a known scale and position.
+
+        Otherwise None, which is the default.
+        """
         return None
 
     @property

@@ -453,7 +453,11 @@ def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
 
 
 def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
-    """Describe the trials that were compared, some of which are unusual."""
+    """Describe how many of the compared trials are unusual, and in which robots by how much.
+
+    If none is unusual, the deviation that would be seen in every trial is stated. `turns` must not
+    be empty.
+    """
     trials = len({turn.log for turn in turns})
     unusual_trials = len({turn.log for turn in unusual})
     text = f"{unusual_trials} of {trials} trials"

@@ -235,7 +235,7 @@ class Contrast(Shown):
 
     @property
     def compared(self) -> int:
-        """The number of pairs. Without pairs, the number of trials of the smaller batch."""
+        """The number of pairs. Without pairs, the number of counted trials of the smaller batch."""
         return self.pairs or min(self.first.counted, self.second.counted)
 
     @property
@@ -263,7 +263,10 @@ class Contrast(Shown):
 
 @dataclass(frozen=True, slots=True)
 class BatchComparison(Shown):
-    """Batches, and the contrasts of every two batches or of each batch with a baseline."""
+    """Batches, and the contrasts of every two batches or of each batch with a baseline.
+
+    A single batch has no contrasts.
+    """
 
     groups: tuple[BatchStatistics, ...]
     contrasts: tuple[Contrast, ...] = field(default=(), repr=False)

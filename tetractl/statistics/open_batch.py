@@ -96,7 +96,10 @@ class Batch(Shown):
 
     @property
     def whole(self) -> bool:
-        """Whether no log of the batch is damaged; attempts are ignored."""
+        """Whether all logs of the batch are intact. Attempts are ignored.
+
+        A log that was read although it is damaged is not intact.
+        """
         return not self.lost and not any(trial.recovered for trial in self.trials)
 
 
@@ -109,7 +112,10 @@ def _key(trial: ResultSummary) -> tuple[int, int]:
 
 
 def counts(trial: ResultSummary) -> bool:
-    """Check whether a trial's errors count in the means: they are known, and its log is intact."""
+    """Check whether a trial's errors count in the means: they are known, and its log is intact.
+
+    The errors are known if the trial is complete and they are finite.
+    """
     return errors_known(trial) and not trial.recovered
 
 

@@ -161,7 +161,10 @@ def fraction(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> St
 
 
 def statistics() -> list[Statistic]:
-    """Return every statistic that can be used, the built-in ones first."""
+    """Return every statistic that can be used, the built-in ones first.
+
+    Statistics of packages that cannot be loaded are left out.
+    """
     return list(STATISTICS.usable().values())
 
 

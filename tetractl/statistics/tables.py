@@ -296,7 +296,10 @@ def error_table(
 
 
 def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distribution]]) -> Table:
-    """Return the table of the `named` errors of batches, formatted for the smallest total."""
+    """Return the table of the `named` errors of batches, formatted for the smallest total.
+
+    All batches use the length unit of the first one.
+    """
     first = groups[0]
     return error_table(
         _errors_title(groups),
@@ -374,7 +377,10 @@ def differences_table(contrasts: Sequence[Contrast]) -> Table:
 
 
 def _basis(contrasts: Sequence[Contrast]) -> Table:
-    """Return the table that shows how batches were compared: tests, power, pairs, other fields."""
+    """Return the table that shows how batches were compared: tests, power, pairs, other fields.
+
+    It has one row per contrast. "-" stands for what is unknown.
+    """
     header = (
         PAIR,
         "tests",

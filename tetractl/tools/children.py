@@ -88,7 +88,7 @@ class Child:
 
     @property
     def stdin(self) -> IO[bytes]:
-        """The pipe through which a process that is `fed` receives its input."""
+        """The pipe through which a process that is `fed` receives its input. Others have none."""
         assert self._process.stdin is not None
         return self._process.stdin
 

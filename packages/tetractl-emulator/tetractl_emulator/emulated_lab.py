@@ -200,7 +200,10 @@ class EmulatedLab:
         self.injector.happened("client")
 
     def _fault(self, phase: str, fault: Fault) -> None:
-        """Record and report that a fault begins ("start") or ends ("end")."""
+        """Record and report that a fault begins ("start") or ends ("end").
+
+        The facts include its robot and its mark, or None.
+        """
         fields = dict(fault)
         robot = fields.get("robot")
         mark = fields.get("name")

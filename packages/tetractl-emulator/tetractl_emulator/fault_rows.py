@@ -75,7 +75,7 @@ def between(low: float, high: float) -> DrawValue:
 
 
 def whole_number(low: float, high: float) -> DrawValue:
-    """Create a function that samples like `between`, rounded to a whole number."""
+    """Create a function that samples like `between`, rounded to the nearest whole number."""
     value = between(low, high)
     return lambda d: round(value(d))
 

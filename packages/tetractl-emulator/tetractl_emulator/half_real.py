@@ -221,5 +221,8 @@ class TwinActuator:
                 self._twin.stop(emergency)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return the status of the real robots."""
+        """Return the status of the real robots, waiting at most `timeout_s` [s].
+
+        Emulated robots are ignored.
+        """
         return self._real.poll(timeout_s)

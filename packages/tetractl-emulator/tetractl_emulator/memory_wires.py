@@ -72,11 +72,11 @@ class MemorySocket:
         """Do nothing: `recvfrom` never waits."""
 
     def getsockname(self) -> tuple[str, int]:
-        """Return the address at which the socket listens."""
+        """Return the address at which the socket listens: host and port. ("", 0) before `bind`."""
         return self._name
 
     def fileno(self) -> int:
-        """Return a number that identifies the socket in its network: its port."""
+        """Return a number that identifies the socket in its network: its port. 0 before `bind`."""
         return self._name[1]
 
     def bind(self, address: tuple[str, int]) -> None:

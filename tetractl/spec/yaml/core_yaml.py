@@ -134,7 +134,7 @@ def compose(text: str, origin: str) -> Node | None:
 
 
 def _mark(line: int, column: int) -> Mark:
-    """Return a position in a text, with line and column counted from 0."""
+    """Create a position in a text. Line and column are counted from 0."""
     return Mark("", 0, line, column, None, 0)
 
 

@@ -158,7 +158,10 @@ event.register("numba:compile", _listener)
 
 
 def computing_s() -> float:
-    """Return the processor time of this thread, without the time for compiling [s]."""
+    """Return the processor time of this thread, without the time for compiling [s].
+
+    Only differences of two such times have a meaning.
+    """
     return time.thread_time() - _listener.spent_s
 
 

@@ -90,7 +90,10 @@ def _names(code: CodeType) -> set[str]:
 
 
 def _classes(kinds: Iterable[Any]) -> Iterator[type[Any]]:
-    """Yield the classes of the named tuples among types, at any depth."""
+    """Yield the classes of the named tuples among types, at any depth.
+
+    A class can occur repeatedly.
+    """
     for kind in kinds:
         if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
             yield kind.instance_class

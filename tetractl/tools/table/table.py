@@ -100,7 +100,10 @@ class Column:
 
     @property
     def key(self) -> str:
-        """The column's name in a data file, which ends in the unit, such as `speed_mm_s`."""
+        """The column's name in a data file, which ends in the unit, such as `speed_mm_s`.
+
+        It is only the name if the column has no unit.
+        """
         return f"{self.name}_{self.unit.replace('/', '_')}" if self.unit else self.name
 
     @property
@@ -165,14 +168,17 @@ class Table:
 
     @property
     def words(self) -> bool:
-        """Whether any column other than the first contains words instead of numbers."""
+        """Whether any column other than the first contains words instead of numbers.
+
+        False for one column.
+        """
         return any(column.words for column in self.columns[1:])
 
     def __len__(self) -> int:
         return len(self.columns[0].values) if self.columns else 0
 
     def with_first(self, **constants: Any) -> "Table":
-        """Return the table with more columns in front, each with the same value in all rows."""
+        """Return a copy of the table with more columns in front, each with a constant value."""
         first = (Column(name, [value] * len(self)) for name, value in constants.items())
         return Table(self.title, (*first, *self.columns), self.note)
 

@@ -74,7 +74,10 @@ class BatchErrors:
 
     @property
     def label(self) -> str:
-        """The batch's label in the figure: the number of trials, and what distinguishes them."""
+        """The batch's label in the figure: the number of trials as "n = 20".
+
+        A second line says if directions were given instead of chosen by a controller.
+        """
         lines = [f"n = {len(self.totals)}"]
         if self.given_directions:
             lines.append(GIVEN_DIRECTIONS)

@@ -93,7 +93,10 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _of_trial(log: TrialLog) -> Figure:
-    """Draw one trial: the total error, and below it the distance of each robot to its target."""
+    """Draw one trial: the total error, and below it the distance of each robot to its target.
+
+    The log must contain camera frames, otherwise LogError is raised.
+    """
     need_frames(log)
     time_s = log.frames_s
     setup = log.start.setup

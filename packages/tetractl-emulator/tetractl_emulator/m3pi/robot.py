@@ -44,7 +44,10 @@ class Program(Protocol):
         ...
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present counts of the left and the right motor."""
+        """Return the present counts of the left and the right motor.
+
+        They are 0 after the watchdog has expired.
+        """
         ...
 
     def status(self, now_ms: int) -> Status:
@@ -158,7 +161,7 @@ class EmulatedRobot:
 
     @property
     def status(self) -> Status:
-        """The status flags that the program of the robot reports now."""
+        """The status flags of the robot's program now, even if the robot is switched off."""
         return self.core.status(self._now_ms)
 
     def counts(self) -> Counts:

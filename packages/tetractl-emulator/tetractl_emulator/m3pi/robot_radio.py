@@ -113,7 +113,10 @@ class RobotRadio(SerialDevice):
         """
 
     def poll_answers(self) -> None:
-        """Send the answers that robots have ready. To be called about every millisecond."""
+        """Send the answers that robots have ready. To be called about every millisecond.
+
+        Robots that are switched off have none.
+        """
         for robot in self.robots:
             if answer := robot.answer():
                 self._answer(answer)

@@ -105,7 +105,7 @@ class WheeledSide(PluggedDevices):
         self.wheels.advance(until_ns)
 
     def tick(self) -> None:
-        """Send the replies that the emulated robots have ready."""
+        """Send the replies that the emulated robots have ready. Each reply is sent once."""
         for radio in self.radios:
             radio.poll_answers()
 

@@ -193,7 +193,10 @@ class EmulatedOptitrack(PoseCamera):
         return {name: self.counts[name] for name in RECORDED}
 
     def ticks(self, when_ns: int) -> int:
-        """Convert a time on the host's clock [ns] to a time on the server's clock [ticks]."""
+        """Convert a time on the host's clock [ns] to a time on the server's clock [ticks].
+
+        Acting faults of the clock are included.
+        """
         gained_ns = sum(gained_ns(when_ns) for gained_ns in self.clock_errors)
         gained_ns += sum(round(jump.by * SECOND) for jump in self.acting.of_kind("clock_jump"))
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
@@ -293,7 +296,10 @@ class EmulatedOptitrack(PoseCamera):
         return natnet.NatNetFrame(number, bodies, params, self.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
-        """Send a frame to every receiver. Faults can change its version or damage the datagram."""
+        """Send a frame to every receiver. Faults can change its version or damage the datagram.
+
+        It is counted as sent even if there is no receiver.
+        """
         damaged = self.acting.largest_share("bad_datagrams")
         wrong_version = self.acting.newest("other_version")
         packed: dict[natnet.Version, bytes] = {}

@@ -96,7 +96,10 @@ class CurrentDriver(SerialDevice):
 
     @property
     def running(self) -> bool:
-        """Whether the driver is running, so that its coils make a magnetic field."""
+        """Whether the driver is running, so that its coils make a magnetic field.
+
+        False if switched off.
+        """
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
@@ -135,7 +138,10 @@ class CurrentDriver(SerialDevice):
             self._step()
 
     def switch(self, on: bool) -> None:
-        """Switch the driver on or off. Switching it on clears an emergency stop or overheating."""
+        """Switch the driver on or off. Switching it on clears an emergency stop or overheating.
+
+        The currents decay after it is switched off.
+        """
         self.powered = on
         if on:
             self._core = DriverCore(self._limits, self._now_ms)

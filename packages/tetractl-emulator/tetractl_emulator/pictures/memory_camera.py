@@ -104,7 +104,10 @@ class MemoryCamera:
             self._wire.append(stream.drawn_part(exposed_ns))
 
     def _deliver(self, due: DuePart) -> None:
-        """Pass an image to the reader, as faults change it. It is lost without a reader."""
+        """Pass an image to the reader, as faults change it. It is lost without a reader.
+
+        Bodies count as shown only if the whole image is sent.
+        """
         sent = self._stream.send(due.drawn)
         if self._take is None:
             return

@@ -83,7 +83,10 @@ class PictureStream:
         self._newest = b""  # the last part, before faults spoil it
 
     def middle_ns(self, number: int) -> int:
-        """Return the time from the camera's start to the middle of an image's exposure [ns]."""
+        """Return the time from the camera's start to the middle of an image's exposure [ns].
+
+        It is `number` periods, so image 0 would be exposed at the start.
+        """
         return round(number * SECOND / self.rate_hz)
 
     @property
@@ -93,7 +96,7 @@ class PictureStream:
         return round(self._latency_s * SECOND) + round(late_s * SECOND)
 
     def withholds(self, number: int) -> bool:
-        """Check whether a fault drops the image with this number."""
+        """Check whether a fault drops the image with this number. False if no such fault acts."""
         slow = any(number % fault.every for fault in self._acting.of_kind("half_rate"))
         return slow or bool(self._acting.of_kind("no_frames"))
 
@@ -181,7 +184,7 @@ class EmulatedNetworkCamera:
 
     @property
     def url(self) -> str:
-        """The URL of the stream."""
+        """The URL of the stream on this computer."""
         return url_at(self.port)
 
     def __enter__(self) -> Self:
@@ -211,7 +214,10 @@ class EmulatedNetworkCamera:
                 self._queue(exposed_ns)
 
     def _queue(self, exposed_ns: int) -> None:
-        """Draw an image, and put it into each client's queue that is not full."""
+        """Draw an image, and put it into each client's queue.
+
+        A client whose queue is full misses it.
+        """
         due = self._stream.drawn_part(exposed_ns)
         with self._lock:
             for client in self._clients:

@@ -63,7 +63,10 @@ class DayPlan:
 
     @property
     def faults_in_order(self) -> list[Mapping[str, Any]]:
-        """The faults of this test run, sorted by the times at which they begin."""
+        """The faults of this test run, sorted by the times at which they begin.
+
+        Faults that begin at the same time keep their order.
+        """
         return sorted(self.faults, key=lambda fault: fault["at"])
 
     def script(self) -> dict[str, Any]:

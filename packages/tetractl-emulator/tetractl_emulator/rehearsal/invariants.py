@@ -268,7 +268,7 @@ def _unrest(at_s: float, finding: str) -> Violation:
 
 
 def _radio_late_s(truth: Truth) -> float:
-    """Compute the total delay of commands that faults of the radio cause [s]."""
+    """Compute the total delay of commands that faults of the radio cause [s]. 0 without any."""
     return truth.delay_s("late_radio", "overtaken_packets", "reboots")
 
 

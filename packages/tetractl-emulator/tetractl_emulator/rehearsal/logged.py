@@ -82,7 +82,11 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
 
 
 def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> bool:
-    """Check that every robot to which a command was delivered is driven by one of its messages."""
+    """Check that every robot to which a command was delivered is driven by one of its messages.
+
+    Each entry of `drives` is a message, and states for each robot whether it drives it. Without
+    messages, nothing is checked and the result is True.
+    """
     driven = [any(messages) for messages in zip(*drives, strict=False)]
     return all(drove for got, drove in zip(delivered, driven, strict=False) if got)
 

@@ -43,7 +43,10 @@ def outcome_violations(truth: Truth) -> list[Violation]:
 
 
 def log_is_readable(truth: Truth) -> Iterator[Violation]:
-    """Check that a log is complete (`log_is_whole`) and agrees with what happened (`logged`)."""
+    """Yield each violation by a log that is incomplete or contradicts what happened.
+
+    The checks are `log_is_whole` and `logged`.
+    """
     yield from log_is_whole(truth)
     yield from logged(truth)
 

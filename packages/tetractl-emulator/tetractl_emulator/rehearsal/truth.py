@@ -135,7 +135,7 @@ class VisibleFault:
 
     @property
     def is_kill(self) -> bool:
-        """Whether this fault kills our process with SIGKILL."""
+        """Whether this fault kills our process with SIGKILL. Other signals do not count."""
         return self.fields.get("signal") == "KILL"
 
     @property
@@ -151,7 +151,7 @@ class VisibleFault:
 
 
 def time_s(event: Event) -> float:
-    """Return when a recorded event happened [s], on the clock of the emulation."""
+    """Return the time of a recorded event [s] on the clock of the emulation."""
     return float(event["t_ns"] / SECOND)
 
 
@@ -403,7 +403,10 @@ class Truth:
 
     @cached_property
     def left_s(self) -> float:
-        """Time from which no process drives robots [s]: the end or a kill, whichever came first."""
+        """Time from which no process drives robots [s]: the end or a kill, whichever came first.
+
+        It is inf if neither happened.
+        """
         return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
 
     # Faults
@@ -456,7 +459,7 @@ class Truth:
     def shown_moving(self) -> list[VisibleFault]:
         """The visible faults that make a camera show motion clearly, even of stationary robots.
 
-        Empty if the plant cannot halt its robots.
+        Empty if the robots cannot stand still, as cells.
         """
         return [
             fault
@@ -492,7 +495,7 @@ class Truth:
 
     @cached_property
     def numbered(self) -> bool:
-        """Whether the camera's frames have numbers."""
+        """Whether the camera's frames have numbers other than 0. False without exposures."""
         return any(exposure["frame"] for exposure in self.exposures)
 
     @cached_property

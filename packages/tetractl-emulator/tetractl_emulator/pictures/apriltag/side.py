@@ -251,7 +251,7 @@ class Renderer:
         return self._empty[1]
 
     def _lay(self, canvas: Shades, tag: FloorTag) -> None:
-        """Draw a floor tag on the canvas."""
+        """Draw a floor tag on the canvas, at height 0."""
         corners = self._card(tag.at, 0.0, tag.heading, tag.size_mm)
         self._stamp(canvas, texture(tag.tag), [corners])
 

@@ -199,7 +199,7 @@ class DishPainter:
         return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)
 
     def _vignette(self) -> Shades:
-        """Return the relative light at each pixel, shape (height, width)."""
+        """Return the relative light at each pixel, shape (height, width): 1 in the middle."""
         if self._shade is None:
             rows, columns = np.ogrid[-1 : 1 : 1j * self.look.height, -1 : 1 : 1j * self.look.width]
             shade = 1 - self.look.vignetting * (rows**2 + columns**2) / 2
@@ -259,7 +259,10 @@ class DishPainter:
         return (slice(top, bottom), slice(left, right)), across[None, :], up[:, None]
 
     def _draw_speck(self, ink: Shades, speck: RenderedSpeck) -> None:
-        """Add a speck or a bubble to the image."""
+        """Add a speck or a bubble to `ink`, an image of floats.
+
+        A speck outside the image is left out.
+        """
         half = speck.size_um / 2 / self.look.um_px
         patch = self._patch(speck.x, speck.y, half * speck.stretch + 4)
         if patch is None:
@@ -278,7 +281,10 @@ class DishPainter:
         )
 
     def _draw_cell(self, ink: Shades, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
-        """Add a cell to the image, averaged over its motion during the exposure."""
+        """Add the cell with index `i` to `ink`, averaged over its bodies in `moments`.
+
+        A cell outside the image is left out.
+        """
         scale = self.look.um_px
         middle = moments[len(moments) // 2]
         half_long = cells.length[i] / 2 / scale

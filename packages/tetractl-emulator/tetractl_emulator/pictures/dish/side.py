@@ -169,7 +169,10 @@ class EmulatedMicroscope(StreamedCamera):
         return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
     def _look(self) -> PictureLook:
-        """Return the properties of the images, as the acting faults change them."""
+        """Return the properties of the images, as the acting faults change them.
+
+        Without such faults, they are those of the script.
+        """
         acting = self._stage.acting
         look = self._plain_look
         for light in acting.of_kind("light"):

@@ -186,7 +186,7 @@ class Relay(Observer):
         self.put(lambda observer: observer.on_command(command))
 
     def on_note(self, note: Note) -> None:
-        """Store an operator message."""
+        """Store an event or a message of the trial."""
         self.put(lambda observer: observer.on_note(note))
 
     def on_stop(self, stop: Command, result: Result) -> None:

@@ -241,7 +241,10 @@ class Player:
                 self._pause()
 
     def press(self, key: str) -> None:
-        """Carry out the function of a key. Unknown keys are ignored."""
+        """Carry out the function of a key, given by its name, such as "space".
+
+        Unknown keys are ignored.
+        """
         match key:
             case "space":
                 if self.state is Playback.ENDED:

@@ -300,7 +300,7 @@ class _ErrorCurve:
         (self.line,) = axes.plot([], [], color=style.WHOLE, lw=1.5)
 
     def show(self, moment: Moment) -> None:
-        """Draw the coloured part of the curve, up to an instant of the trial."""
+        """Draw the coloured part of the curve, up to an instant of the trial and its error."""
         times_s = self._times_s[: len(moment.totals)]
         self.line.set_data(
             np.append(times_s, moment.time_s), np.append(moment.totals, _total_error(moment))
@@ -333,7 +333,10 @@ class _Words:
         (self.arrow,) = dial.plot([], [], color=style.WHOLE, lw=1.4, clip_on=False)
 
     def show(self, moment: Moment) -> None:
-        """Write the numbers of an instant of the trial, and turn the arrow."""
+        """Write the numbers of an instant of the trial, and turn the arrow to the plan's direction.
+
+        There is no arrow before the first step, at the end, or if the plan has no direction.
+        """
         step = _followed(moment)
         direction = None if step is None else step.plan.direction
         arrow = np.zeros(0) if direction is None else ARROW * np.exp(1j * direction)

@@ -324,7 +324,7 @@ class PseudoPort:
     def unplug(self) -> None:
         """Remove the port and its link. This method can be called repeatedly.
 
-        A program that uses the port gets errors.
+        A program that uses the port gets errors. A link that leads elsewhere by now is kept.
         """
         if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
             self.link.unlink()

@@ -38,7 +38,10 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
 
 
 def _settings(value: Any, info: ValidationInfo) -> Model:
-    """Parse the settings of an emulated device. The field is named "camera" or "actuator"."""
+    """Parse the settings of an emulated device. The field is named "camera" or "actuator".
+
+    Invalid settings raise ValidationError.
+    """
     sides = _sides(info)
     side = sides.camera if info.field_name == "camera" else sides.actuator
     return side.Settings.model_validate(value, strict=True)

@@ -233,7 +233,7 @@ def outlive(emulation: EmulatedLab) -> None:
 
 
 def _loop_of(emulation: EmulatedLab) -> VirtualLoop:
-    """Return the emulation's loop as a `VirtualLoop`."""
+    """Return the emulation's loop, which must be a `VirtualLoop`."""
     assert isinstance(emulation.loop, VirtualLoop), "`started` has made it"
     return emulation.loop
 

@@ -103,7 +103,7 @@ def compose(text: str, origin: str) -> Node | None:
     """Parse a text to a graph of YAML nodes. None if it is empty.
 
     Raises:
-        InvalidSpecError: If it is not YAML.
+        InvalidSpecError: If it is not YAML, or contains more than one document.
     """
     try:
         composer = _Composer(text, origin)

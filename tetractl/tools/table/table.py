@@ -95,7 +95,7 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """The heading that the column has in a printed table."""
+        """The heading of the column in a printed table: its name, and its unit in brackets."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property

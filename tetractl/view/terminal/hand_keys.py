@@ -178,7 +178,10 @@ class HandKeys:
         return self._wish.pauses and not (self._wish.stops or self._has_ended())
 
     def await_end_of_pause(self, show: Callable[[float], None]) -> None:
-        """Wait until the person ends the pause. Until then, `show` each direction tried [rad]."""
+        """Wait until the person ends the pause or stops, or until the trial ends.
+
+        `show` is called once for each new direction [rad] that the person tries meanwhile.
+        """
         shown: float | None = None
         while self.pauses:
             direction = self._wish.direction
@@ -199,7 +202,7 @@ class HandKeys:
 
 
 def task(setup: Setup, disturbed: bool) -> str:
-    """Describe to the person who steers what to do, and how the robots differ."""
+    """Describe to the person who steers what to do, and which robots turn fastest and slowest."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
     dots = "about where that leads" if disturbed else "where that leads"

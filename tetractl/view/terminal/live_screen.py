@@ -228,7 +228,7 @@ class LiveView(Observer):
         self._of_trial.on_command(command)
 
     def on_note(self, note: Note) -> None:
-        """Show a new event of the trial in the list of events."""
+        """Show a new note of the trial in the list of events."""
         self._of_trial.on_note(note)
         self._draw_in_time()
 
@@ -238,7 +238,10 @@ class LiveView(Observer):
         self._draw()
 
     def say(self, aside: str, *hints: str) -> None:
-        """Show the last image again in the plain style, with another text aside and other hints."""
+        """Show the last image again in the plain style, with another text aside and other hints.
+
+        Later images have this style and this text as well.
+        """
         self._aside = aside
         self._hints = hints
         self._plain = True
@@ -373,15 +376,15 @@ class LabWatch(LiveView):
             console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: Start) -> None:
-        """Open the live view of a new trial."""
+        """Open the live view of a new trial, if it is wanted, and show the trial's start."""
         if self._wanted:
             self._screen.open()
         super().on_start(start)
 
     def on_note(self, note: Note) -> None:
-        """Print an event, or keep it until the live view is closed.
+        """Print a note, or keep it until the live view is closed.
 
-        Calls of devices are left out.
+        Notes of the level "debug", the lines of a traceback, are left out.
         """
         if note.level == "debug":
             return

@@ -510,7 +510,7 @@ class Truth:
     def late_s(self) -> float:
         """Maximum age of a frame beyond the age that it seems to have [s].
 
-        It is 0 if frames have their own times.
+        It is 0 if frames state their own times, otherwise `longest_delay_s`.
         """
         return 0.0 if self.dated else self.longest_delay_s
 

@@ -86,6 +86,9 @@ class LineRadio(RobotRadio):
         return {"sequence": command.sequence, "flags": int(command.flags), **record}
 
     def _witness(self, data: bytes) -> None:
-        """Record the commands in bytes that were read from the port."""
+        """Record the commands in bytes that were read from the port.
+
+        An incomplete line is kept until its rest arrives.
+        """
         *lines, self._witnessed = self._split(self._witnessed + data)
         self._note_commands(lines)

@@ -137,10 +137,10 @@ def without_lines() -> Iterator[None]:
 
 
 def as_text(contents: Mapping[str, Any], name: str) -> str:
-    """Return the contents of a spec as YAML text.
+    """Return the contents of a spec as JSON text on one line, which is also YAML.
 
     Raises:
-        SpecError: If they hold an object that YAML lacks.
+        SpecError: If they hold an object that JSON lacks. The message starts with `name`.
     """
     try:
         return json.dumps(contents)

@@ -198,7 +198,10 @@ class LiveView(Observer):
         self._screen.close()
 
     def trial_started(self, task: Task) -> None:
-        """Take note of the number of the trial that begins, and of the number of trials."""
+        """Take note of the number of the trial that begins, and of the number of trials.
+
+        The first trial also starts the clock from which the remaining time is estimated.
+        """
         if self._task is None:
             self._tally.began_s = self._wall()
         self._task = task

@@ -103,7 +103,7 @@ class Ros2Robots(SpeedRobots):
 
     @property
     def stopping_ports(self) -> list[SerialPort]:
-        """The ports through which the robots are stopped."""
+        """The ports that stop the robots: those of commands, then the emergency stop's if it exists."""
         emergency = [] if self._emergency_port is None else [self._emergency_port]
         return [*self._command_ports, *emergency]
 
@@ -130,7 +130,11 @@ class Ros2Robots(SpeedRobots):
         return Health(tuple(problems), questions=questions, emulated=any(emulated))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Wait for the states of the batteries, and report robots whose topic has no subscriber."""
+        """Wait for the states of the batteries, and return the status of each robot.
+
+        It waits for at most `timeout_s` [s], and not for robots without a battery topic.
+        The status also reports a robot whose topic has no subscriber.
+        """
         has_battery = [entry(self.section.robots, name).battery is not None for name in self.names]
 
         def has_all() -> bool:
@@ -224,7 +228,10 @@ class Ros2Robots(SpeedRobots):
 
 
 def _vector(action: Steer | Turn) -> Vector3:
-    """Create the vector message of a direction. z is 1 if robots should turn on the spot."""
+    """Create the vector message (cos u, sin u, z) of a direction u.
+
+    z is 1 if the robots should turn on the spot, and 0 if they should drive.
+    """
     if isinstance(action, Steer):
         return Vector3(math.cos(action.direction), math.sin(action.direction), 0.0)
     return Vector3(math.cos(action.facing), math.sin(action.facing), 1.0)

@@ -74,7 +74,11 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
 
 
 def topic_part(name: str, index: int) -> str:
-    """Convert a robot's name to a part of a topic's name: letters, digits and underscores."""
+    """Convert a robot's name to a part of a topic's name.
+
+    Characters other than ASCII letters, digits and underscores become underscores. If the
+    first one is not a letter, "robot_" and the robot's index are put before the name.
+    """
     part = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return part if re.match(r"[A-Za-z]", part) else f"robot_{index}_{part}"
 
@@ -93,7 +97,10 @@ class BagMessages:
         self._parts = parts if distinct else [f"{part}_{i}" for i, part in enumerate(parts)]
 
     def entries(self) -> Iterator[Entry]:
-        """Yield all messages, topic by topic."""
+        """Yield all messages: targets, transforms, commands, then plans.
+
+        They are not sorted by time.
+        """
         yield self._targets()
         yield from self._transforms()
         for command in self._trial.commands:

@@ -147,7 +147,10 @@ def _command(topic: str, time_ns: int, message: Any) -> BagCommand:
 
 
 def _poses(topic: str, time_ns: int, message: Any, kind: str) -> Iterator[BagPose]:
-    """Yield the poses in a message that are finite and have a valid rotation."""
+    """Yield the poses in a message that are finite and have a valid rotation.
+
+    A pose without a time stamp gets the time at which the message was recorded, `time_ns`.
+    """
     for seen in sightings(POSES[kind], message):
         planar = planar_pose(seen.rigid, UpAxis.Z)
         if planar is not None:
@@ -210,7 +213,10 @@ def command_table(contents: BagContents) -> Table:
 
 
 def begin(contents: BagContents) -> int:
-    """Return the earliest time of a recording [ns]. The times in its tables count from it."""
+    """Return the earliest time of any pose or command of a recording [ns].
+
+    The times in its tables count from it. The recording must not be empty.
+    """
     return min(o.time_ns for o in (*contents.poses, *contents.commands))
 
 

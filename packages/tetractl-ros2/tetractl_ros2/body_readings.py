@@ -49,12 +49,15 @@ def sightings(kind: str, message: Any) -> list[BodySighting]:
 
 
 def stamp_ns(header: Any) -> int:
-    """Return the time stamp in the header of a ROS 2 message [ns]."""
+    """Return the time stamp in the header of a ROS 2 message [ns].
+
+    It is 0 if the stamp is not set.
+    """
     return header.stamp.sec * SECOND + header.stamp.nanosec
 
 
 def bare(frame: str) -> str:
-    """Remove the leading slash that old programs put before the name of a frame."""
+    """Remove the leading slash that old programs put before the name of a frame, if it has one."""
     return frame.removeprefix("/")
 
 

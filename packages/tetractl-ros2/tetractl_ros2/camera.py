@@ -138,7 +138,10 @@ class Ros2Camera:
         self._close()
 
     def check(self) -> Health:
-        """Report robots without poses, wrong time stamps, and whether the tracker is emulated."""
+        """Report robots without poses, crowded topics, wrong time stamps and an emulated tracker.
+
+        The first two are problems, and wrong time stamps are warnings.
+        """
         with self._lock:
             problems = (*self._missing(), *self._crowded())
             warnings = tuple(self._stamp_warnings())
@@ -154,7 +157,11 @@ class Ros2Camera:
         return all(reading.pose is not None for reading in self._group.last)
 
     def _silence(self) -> AbortError:
-        """Create the error for a camera that has sent no pose."""
+        """Create the error for a camera that has sent no usable pose.
+
+        It names the first cause that applies: a failed port, messages that could not be
+        read, or a robot without poses.
+        """
         failure = next((port.failure for port in self._ports if port.failure), None)
         if failure is not None:
             return AbortError(failure, HINT)
@@ -167,7 +174,7 @@ class Ros2Camera:
         return AbortError(missing[0] if missing else "no pose came", HINT)
 
     def _missing(self) -> tuple[str, ...]:
-        """Describe each robot that no message has contained yet."""
+        """Describe each robot that has no pose yet, in the setup's order, with the likely cause."""
         lines: list[str] = []
         for row, (name, reading) in enumerate(
             zip(self._setup.names, self._group.last, strict=True)
@@ -194,7 +201,10 @@ class Ros2Camera:
         return f"{text} and {more} more" if more > 0 else text
 
     def _crowded(self) -> tuple[str, ...]:
-        """Describe each topic on which several nodes publish poses. For /tf, this is normal."""
+        """Describe each topic on which several nodes publish poses.
+
+        Empty for /tf, where this is normal.
+        """
         if self.section.message == "TFMessage":
             return ()
         return tuple(
@@ -204,7 +214,11 @@ class Ros2Camera:
         )
 
     def _quickest_age_ns(self) -> int | None:
-        """Return how old the quickest message's stamp was on arrival, by our clock [ns]."""
+        """Return how old the quickest message's stamp was on arrival, by our clock [ns].
+
+        The result is None if no stamp has come, if a stamp is missing, or if the tracker
+        is emulated.
+        """
         gaps = [clock.quickest_ns for clock in self._clocks]
         known = [gap for gap in gaps if gap is not None]
         if not known or self._emulated or self._unstamped:
@@ -278,7 +292,11 @@ class Ros2Camera:
             self._pass_on(complete[-1], at_ns)
 
     def _row(self, topic: int, sighting: BodySighting) -> int | None:
-        """Find the index of the robot that a sighting belongs to. None if it is another body."""
+        """Find the index of the robot that a sighting belongs to.
+
+        The result is None if it is another body, or if its pose is in another frame than
+        the section's.
+        """
         if sighting.body is not None:
             self._bodies.add(sighting.body)
         row = topic if sighting.body is None else self._rows.get(sighting.body)
@@ -301,7 +319,11 @@ class Ros2Camera:
         return max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
 
     def _pass_on(self, readings: Readings, at_ns: int) -> None:
-        """Queue the frame with these readings, if it is newer than the last one."""
+        """Queue the frame with these readings, if it is newer than the last one.
+
+        A robot whose reading is more than UNSEEN_NS older than the newest one has no pose
+        in it.
+        """
         newest_ns = max(reading.exposed_ns for reading in readings)
         if newest_ns <= self._newest_ns:
             return

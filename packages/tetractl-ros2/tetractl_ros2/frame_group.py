@@ -77,7 +77,10 @@ class FrameGroup:
         return complete
 
     def _close(self) -> Readings:
-        """Complete the pending frame, and return the readings of all robots."""
+        """Complete the pending frame, and return each robot's last reading, in the setup's order.
+
+        Robots that are not in the pending frame keep their older reading.
+        """
         if len(self._pending) > 1:
             self._in_step = self._pending
         elif self._pending <= self._in_step:

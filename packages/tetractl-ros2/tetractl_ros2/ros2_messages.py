@@ -76,7 +76,7 @@ class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
 @final
 @dataclass
 class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    """An orientation."""
+    """An orientation as a unit quaternion, with the real part in w."""
 
     x: types.float64 = 0.0
     y: types.float64 = 0.0

@@ -45,7 +45,10 @@ USUAL_TOPICS: dict[str, str] = {
 
 
 def _full_name(topic: str) -> str:
-    """Check that a text is the full name of a topic, and return it."""
+    """Check that a text is the full name of a topic, and return it.
+
+    Otherwise raise `ValueError`.
+    """
     if NAME.fullmatch(topic) is None:
         raise ValueError("must be a full topic name, such as /green/cmd_vel")
     return topic
@@ -91,7 +94,10 @@ class Ros2CameraSection(CameraSection):
 
     @property
     def topic_pattern(self) -> str:
-        """The name of the topic. If each body has its own topic, it contains {body}."""
+        """The name of the topic, or the usual one of the message if the spec gives none.
+
+        If each body has its own topic, the name contains {body}.
+        """
         return self.topic or USUAL_TOPICS[self.message]
 
     @property
@@ -100,7 +106,7 @@ class Ros2CameraSection(CameraSection):
         return f"ros2://{self.domain}{self.topic_pattern}"
 
     def topics(self, setup: Setup) -> tuple[str, ...]:
-        """Return the names of the topics: one for all robots, or one for each of them in order."""
+        """Return the names of the topics: one for all robots, or one for each, in their order."""
         pattern = self.topic_pattern
         if BODY not in pattern:
             return (pattern,)
@@ -201,7 +207,10 @@ class Ros2Section(SpeedSection):
             )
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield an error if robots that steer themselves would use other axes than the spec."""
+        """Yield an error if robots that steer themselves would use other axes than the spec.
+
+        This is so if the camera is of type ros2 and its `rotation` is not 0.
+        """
         rotated = isinstance(camera, Ros2CameraSection) and camera.rotation != 0
         if self.message == DIRECTION and rotated:
             text = "sends directions in the spec's axes, so camera.rotation must be 0"

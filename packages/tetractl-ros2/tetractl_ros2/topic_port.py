@@ -108,7 +108,7 @@ class Topic:
     latched: bool = False
 
     def address(self, domain: int) -> str:
-        """Return the name of the topic's port."""
+        """Return the name of the topic's port, ros2://DOMAIN/TOPIC."""
         return f"{SCHEME}{domain}{self.name}"
 
     @property
@@ -204,13 +204,13 @@ class TopicEnd:
 
     @property
     def partners(self) -> int:
-        """Number of publishers or subscribers at the other end of the topic."""
+        """Number of publishers or subscribers at the topic's other end. 0 if it is not open."""
         if self._writer is not None:
             return len(self._writer.get_matched_subscriptions())
         return 0 if self._reader is None else len(self._reader.get_matched_publications())
 
     def rivals(self) -> int:
-        """Count the other publishers of the topic in the graph."""
+        """Count the other publishers of the topic in the graph, in this or any other process."""
         name = PREFIX + self.topic.name
         own = None if self._writer is None else self._writer.guid
         reader = BuiltinDataReader(participant(self._domain), BuiltinTopicDcpsPublication)
@@ -262,7 +262,7 @@ class TopicPort(ClientPort):
         return self.look_for_subscribers() or self._clock.now() >= self._ready_ns
 
     def look_for_subscribers(self) -> bool:
-        """Check whether any node subscribes to the topic. If none does, `refusal` says so."""
+        """Check whether any node subscribes to the topic. If none does, set `refusal` to a text."""
         is_received = self.end.partners > 0
         self.refusal = None if is_received else f"no node subscribes to {self.end.topic.name}"
         return is_received
@@ -286,7 +286,7 @@ class TopicPort(ClientPort):
         """Do nothing, because `open` has already joined the topic."""
 
     def wait(self) -> None:
-        """Pass on the messages that have arrived."""
+        """Pass on the messages that have arrived. A port that publishes only waits."""
         if self.end.topic.publishes:
             super().wait()
         else:
@@ -294,7 +294,7 @@ class TopicPort(ClientPort):
                 self.take(message)
 
     def close(self) -> None:
-        """Leave the topic. Can be called repeatedly, and never raises."""
+        """Leave the topic, and release its lock. Can be called repeatedly, and never raises."""
         super().close()
         with suppress(core.DDSException):
             self.end.close()
@@ -309,7 +309,10 @@ def domain_of(name: str) -> int:
 
 
 def ports_of(topics: Iterable[Topic]) -> Ports:
-    """Create a function that makes the port of each of these topics, given its name."""
+    """Create a function that makes the port of one of these topics, given the port's name.
+
+    A name of any other topic raises a `KeyError`.
+    """
     by_name = {topic.name: topic for topic in topics}
 
     def make(name: str, *arguments: Any) -> TopicPort:

@@ -78,7 +78,7 @@ def battery_topics(
 
 
 def emergency_topic(section: Ros2Section, publishes: bool = True) -> Topic | None:
-    """Return the topic of the emergency stop. None if there is none."""
+    """Return the topic of the emergency stop. None if the section names none."""
     if section.emergency_stop is None:
         return None
     return Topic(section.emergency_stop, Bool, publishes, latched=True)

@@ -58,7 +58,10 @@ CLOCKS = frozenset(
 
 
 def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> None:
-    """Check that an optimiser's search records are consistent, and that its searches repeat."""
+    """Check that an optimiser's search records are consistent, and that its searches repeat.
+
+    Each length in LENGTHS is searched with and without a warm start.
+    """
     problem = Problem(
         poses=setup.starts, targets=setup.targets, a=setup.a, speed=setup.speed, motion="exact",
         period=0.2, first_period=0.2, obstacles=Obstacles.from_shapes(setup.obstacles),
@@ -138,7 +141,10 @@ class SimulatedRun:
 
 
 def simulate_run(section: ControllerSection, setup: Setup) -> SimulatedRun:
-    """Run a controller in an undisturbed simulation, until it ends or until the time limit."""
+    """Run a controller in an undisturbed simulation, until it ends or for STEPS_MAX + 2 steps.
+
+    A decision of the wrong kind also ends the run. It is described in the run's `wrong`.
+    """
     run = SimulatedRun(first=setup.starts.array())
 
     def wrap(optimizer: OptimizerSection) -> Optimizer:
@@ -200,7 +206,11 @@ def clocks_watched(package: str) -> Iterator[set[str]]:
 
 
 def check_controller(section: ControllerSection, setup: Setup) -> None:
-    """Check a controller's plans and its end, and that the key alone determines its decisions."""
+    """Check a controller's plans and its end, and that the key alone determines its decisions.
+
+    If the controller cannot steer all robots of the setup, it is checked with the first one
+    only.
+    """
     if any(section.contradictions(setup)):
         setup = setup.only([0])  # some controllers steer one robot
     limit_s = (STEPS_MAX + 1) * section.period
@@ -249,7 +259,10 @@ def _check_plans(
 
 
 def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> None:
-    """Check that a trial ends at its time limit, and when all robots are at their targets."""
+    """Check that a trial ends at its time limit, and only when all robots are at their targets.
+
+    A robot is at its target if it is within `arrival_tolerance`.
+    """
     count_of_plans = len(run.plans)
     in_time = count_of_plans < len(run.decisions) and count_of_plans <= STEPS_MAX + 1
     if count_of_plans == STEPS_MAX + 1:
@@ -268,7 +281,10 @@ def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> 
 
 
 def _consistent(search: Search) -> bool:
-    """Check that the record of a search does not contradict itself."""
+    """Check that the record of a search does not contradict itself.
+
+    Its history must be finite, never rise, and end at the cost, which must not be negative.
+    """
     history = np.asarray(search.history)
     finite = bool(np.isfinite(history).all())
     falls = bool((np.diff(history) <= 0).all())

@@ -145,7 +145,10 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
 
 
 def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
-    """Return the next ten frames, or fewer if they do not arrive within a time [s]."""
+    """Return the next FRAMES frames, oldest first, or fewer if they do not arrive in time.
+
+    `patience_s` is the maximum time to wait [s].
+    """
     frames: list[CameraFrame] = []
 
     def enough() -> bool:
@@ -172,7 +175,10 @@ def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> No
 def _check_scene(
     camera: Camera, setup: Setup, scene: SeenRobots, frames: Sequence[CameraFrame]
 ) -> None:
-    """Check that frames show a scene, and that they no longer show a robot after it is hidden."""
+    """Check that the last frame shows a scene, and that a robot is untracked after it is hidden.
+
+    No frame may have a fault or an unknown object. The robot that is hidden is the first one.
+    """
     healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
     true("frames: without faults and unknown objects", healthy)
     true("damaged: 0", camera.damaged == 0, str(camera.damaged))
@@ -258,7 +264,10 @@ def check_actuator(
 
 
 def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
-    """List the fields of a section that do not fit the robots, each with the reason."""
+    """List the fields of a section that do not fit the robots, each with the reason.
+
+    The list is empty if all of them fit.
+    """
     texts: list[str] = []
     for loc, text in section.contradictions(setup):
         field = ".".join(map(str, loc))
@@ -308,7 +317,10 @@ def _at_port(data: Any, port: str) -> Any:
 
 
 def _pseudo_terminal(stack: ExitStack) -> str:
-    """Create a port that accepts all bytes, until the stack is closed, and return its name."""
+    """Create a pseudo-terminal that accepts all bytes until the stack is closed.
+
+    Return its path.
+    """
     import tty  # not on Windows
 
     ours, theirs = os.openpty()
@@ -319,7 +331,10 @@ def _pseudo_terminal(stack: ExitStack) -> str:
 
 
 def _swallow(port: int) -> None:
-    """Read from a pseudo-terminal until its other end is closed."""
+    """Read from a pseudo-terminal, and drop the bytes, until its other end is closed.
+
+    The port is closed afterwards.
+    """
     with suppress(OSError), open(port, "rb", buffering=0) as file:
         while file.read(1000):
             pass
@@ -332,7 +347,7 @@ class _Nowhere(SerialPort):
         """Do nothing."""
 
     def write(self, data: bytes) -> int:
-        """Accept bytes, and drop them."""
+        """Drop the bytes, and return the present time [ns]."""
         return self._clock.now()
 
 
@@ -355,7 +370,10 @@ class _SteeringChecks:
         self.all = (True,) * len(self.poses)
 
     def check(self) -> None:
-        """Run all checks: steer, stop, turn, hold, stop in an emergency, and lose the device."""
+        """Run all checks: steer, stop, turn, hold, stop in an emergency, and lose the device.
+
+        The last one is left out if the robots cannot be unplugged.
+        """
         actuator = self.actuator
         self.check_sent()
         self._steer(DIRECTION, self.all)
@@ -376,7 +394,7 @@ class _SteeringChecks:
         _check_aborts("stop", actuator.stop)
 
     def check_sent(self) -> None:
-        """Check the record of a sent command, and then stop."""
+        """Steer in several directions, check the record of the commands, and then stop."""
         speed = self.setup.speed
         for direction in (0.0, 1.5, -2.5, DIRECTION):
             sent = self._steer(direction, self.all)
@@ -403,7 +421,7 @@ class _SteeringChecks:
         near(what, sent.turning, turning, float(setup.a.max()), TURNING)
 
     def _check_stop(self, name: str, stop: Transmission) -> None:
-        """Check that a stop is reported as one, and that the robots stand still."""
+        """Check that a stop is reported as one, and that robots that can stand still do so."""
         true(f"{name}: reports that it stops the robots", stop.action == Stop())
         if self.actuator.halts:
             rests = not (stop.speed.any() or stop.turning.any())
@@ -426,7 +444,7 @@ class _SteeringChecks:
         self._check_turning("turn: turns robots towards the direction", sent, turn.facing)
 
     def _check_held(self) -> None:
-        """Check that one robot can be held while the others move."""
+        """Check that the first robot can be held while the others move."""
         clock = self.robots.clock
         clock.sleep_until(clock.now() + self.actuator.period_ns)  # so that the turn has begun
         self.actuator.stop()
@@ -440,14 +458,18 @@ class _SteeringChecks:
     def _steer(
         self, direction: float, moving: Sequence[bool], first_tracked: bool = True
     ) -> Transmission:
-        """Steer for one period, with the first robot tracked or untracked."""
+        """Wait for one period, then steer, and return what was sent.
+
+        The direction is in radians. `first_tracked` says whether the first robot has a
+        pose.
+        """
         clock = self.robots.clock
         clock.sleep_until(clock.now() + self.actuator.period_ns)
         poses = [self.poses[0] if first_tracked else None, *self.poses[1:]]
         return self.actuator.send(Steer(direction), poses, moving, clock.now())
 
     def _wait(self, moving: Callable[[], bool]) -> bool:
-        """Wait until the robots move as they should, and return whether they do."""
+        """Wait for a condition, and return whether it holds within EMULATED_S seconds."""
         return wait_for(self.robots.clock, moving, EMULATED_S)
 
     def _resting(self) -> bool:
@@ -455,7 +477,7 @@ class _SteeringChecks:
         return not any(self.robots.moves())
 
     def _failed(self) -> bool:
-        """Send a command if necessary, and return whether the device reports a failure."""
+        """Return whether the device reports a failure. If it does not yet, send a command first."""
         if self.actuator.failure is None:
             with suppress(AbortError):
                 self._steer(DIRECTION, self.all)
@@ -463,7 +485,7 @@ class _SteeringChecks:
 
 
 def _check_aborts(name: str, call: Callable[[], object]) -> None:
-    """Check that a call raises AbortError when the device is gone."""
+    """Check that a call raises AbortError after the device is gone. Other errors are passed on."""
     what = f"{name}: raises AbortError when the device is gone"
     problem = "none is raised"
     try:
@@ -501,7 +523,10 @@ def _check_leaving(closed: Device, unopened: Device) -> None:
 
 
 def _members(what: str, device: Device, protocol: type) -> None:
-    """Check that a device has all members of a protocol."""
+    """Check that a device has all public members of a protocol, `__enter__` and `__exit__`.
+
+    Only their names are compared.
+    """
     members = [name for base in protocol.__mro__ for name in vars(base)]
     public = {name for name in members if not name.startswith("_")}
     needed = public | {"__enter__", "__exit__"}

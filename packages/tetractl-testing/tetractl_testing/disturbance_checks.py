@@ -46,7 +46,10 @@ numbers in the result.
 
 
 def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
-    """Check the results of each method, and check that they depend only on the seed."""
+    """Check the results of each overridden method, and that they depend only on the seed.
+
+    At least one method must be overridden, and no method may change its arguments.
+    """
     with random_watched() as used:
         calls = _calls(section, setup)
         calls_again = _calls(section, setup)
@@ -104,7 +107,7 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
 
 
 def _command(now_ns: int, reached: Bools) -> DelayedCommand:
-    """Create a command that is both sent and due now."""
+    """Create a command that is sent and due at `now_ns`, and reaches the robots `reached` (N,)."""
     wheels = np.ones((2, len(reached)))
     return DelayedCommand(now_ns, now_ns, Steer(0.5), reached, wheels=wheels)
 
@@ -142,7 +145,7 @@ def _finite(value: Any) -> bool:
 
 
 def _flat(value: Any) -> Floats:
-    """Flatten a value to an array of all its numbers. None becomes NaN."""
+    """Flatten a value, its fields and its entries to one array of numbers. None becomes NaN."""
     if is_dataclass(value) and not isinstance(value, type):
         value = astuple(value)
     if isinstance(value, tuple | list):

@@ -132,7 +132,10 @@ def same(what: str, ours: Any, theirs: Any) -> None:
 
 @contextmanager
 def random_watched() -> Iterator[list[str]]:
-    """Watch the global random generators in a `with` block, and list the ones that were used."""
+    """Watch the global random generators in a `with` block, and list the ones that were used.
+
+    The list is filled when the block ends. Both generators are given a new state at its start.
+    """
     random.seed()
     mtrand.set_bit_generator(np.random.MT19937())
     used = list[str]()

@@ -126,7 +126,7 @@ def _check_hold(motion: Motion, cases: Cases, moved: XYHeading) -> None:
 
 
 def _check_advance(compiled: Any, cases: Cases, moved: XYHeading) -> None:
-    """Check that the compiled step gives the same poses as the NumPy step."""
+    """Check that the compiled step gives the same poses as `moved`, those of the NumPy step."""
     constants = compiled.of(cases.parameters, STEP_S)
     if constants.rows.shape != (COUNT, constants.size):
         expect("advance: rows", f"have the shape {constants.rows.shape} instead of (N, size)")
@@ -201,7 +201,10 @@ def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
 
 
 def check_shape(section: ShapeSection, setup: Setup) -> None:
-    """Check the corners and the radius of a shape; everything else is derived from them."""
+    """Check the corners and the radius of a shape, and the outline and distances derived from them.
+
+    If the corners are not an array (K, 2) of finite numbers, nothing further is checked.
+    """
     shape = section.shape()
     corners = shape.corners
     count = len(corners)

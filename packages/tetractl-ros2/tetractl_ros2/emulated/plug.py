@@ -49,7 +49,10 @@ class TopicPlug(PseudoPort):
             self._thread.start()
 
     def unplug(self) -> None:
-        """Leave the topic. Can be called repeatedly."""
+        """Leave the topic, and wait up to 2 s for the receiving thread.
+
+        Can be called repeatedly.
+        """
         self._closing.set()
         if self._thread is not None:
             self._thread.join(2.0)
@@ -60,20 +63,26 @@ class TopicPlug(PseudoPort):
         self.fd = -1
 
     def stall(self, stalled: bool) -> None:
-        """Drop everything that is sent to the topic while `stalled`."""
+        """Start or stop dropping everything that is sent to the topic, or that arrives from it."""
         self._stalled = stalled
 
     def baud(self) -> None:
         """None, because a network has no baud rate."""
 
     def read(self) -> bytes:
-        """Return the bytes of the next message. Empty if there is none."""
+        """Return the bytes of the oldest waiting message.
+
+        Empty if there is none. It never waits.
+        """
         with suppress(BlockingIOError, OSError):
             os.eventfd_read(self.fd)
         return self._came.popleft() if self._came else b""
 
     def write(self, data: bytes) -> None:
-        """Publish a message. A message that cannot be sent is lost."""
+        """Publish a message.
+
+        It is lost if the plug is pulled or stalled, or if it cannot be sent.
+        """
         if self.fd >= 0 and not self._stalled:
             with suppress(DDSException):
                 self._end.publish(data)

@@ -49,11 +49,14 @@ class TwistProgram(OwnProgram):
         self.is_emergency_stopped = False
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the wheel speeds that act now [unit_mm mm/s]."""
+        """Return the wheel speeds that act now [unit_mm mm/s]. Both are 0 after an emergency stop."""
         return (0, 0) if self.is_emergency_stopped else super().wheels(now_ms)
 
     def status(self, now_ms: int) -> Status:
-        """Return the robot's status flags: driving, silent or emergency-stopped."""
+        """Return the robot's status flags.
+
+        After an emergency stop, only EMERGENCY_STOPPED is set.
+        """
         if self.is_emergency_stopped:
             return Status.EMERGENCY_STOPPED
         return super().status(now_ms)
@@ -67,7 +70,10 @@ class EmergencyStop(OwnRadio):
     """The common topic of the emergency stop, which reaches the drivers of all robots."""
 
     def hear(self, data: bytes) -> None:
-        """Process a message of the emergency topic: if it is True, stop all robots at once."""
+        """Process a message of the emergency topic: if it is True, stop all powered robots.
+
+        False, and a message that cannot be read, are ignored.
+        """
         asked = False
         with suppress(*UNREADABLE):
             asked = Bool.deserialize(data).data
@@ -115,7 +121,10 @@ class EmulatedRos2Robots(PortedSide):
         ]
 
     def read(self, message: bytes, row: int) -> Counts:
-        """Convert a message to the wheel speeds that it asks for, left and right [unit_mm mm/s]."""
+        """Convert a command of the robot in a row to wheel speeds, left and right [unit_mm mm/s].
+
+        The speeds are rounded to whole numbers and not limited.
+        """
         decoded: Any = self._message.deserialize(message)
         if isinstance(decoded, Vector3Stamped):
             speed, turning = self._steered(decoded.vector, row)
@@ -128,7 +137,10 @@ class EmulatedRos2Robots(PortedSide):
         return round((speed - rim) / unit_mm), round((speed + rim) / unit_mm)
 
     def _steered(self, vector: Vector3, row: int) -> tuple[float, float]:
-        """Compute the speed [mm/s] and turning rate [rad/s] of a robot that steers itself."""
+        """Compute the speed [mm/s] and turning rate [rad/s] of a robot that steers itself.
+
+        Both are 0 if the vector's x and y are 0. The speed is 0 if its z is not 0.
+        """
         if not math.hypot(vector.x, vector.y):
             return 0.0, 0.0
         ahead = math.atan2(vector.y, vector.x) - self.robots[row].heading
@@ -163,7 +175,7 @@ class EmulatedRos2Robots(PortedSide):
         return super().close()
 
     def _publish_batteries(self) -> None:
-        """Publish the state of each battery, and schedule the next time."""
+        """Publish the battery state of each powered robot, and schedule the next time."""
         for robot, port in zip(self.robots, self._battery_ports, strict=True):
             if port is not None and robot.powered:
                 assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"

@@ -73,17 +73,23 @@ class EmulatedTracker(PoseStream):
         return {"camera": ", ".join(self._addresses)}
 
     def close(self) -> Facts:
-        """Leave the topics, and return the number of frames sent."""
+        """Leave the topics, and return the number of frames sent, under the key "frames"."""
         for port in (*self._ports, self._marker):
             port.unplug()
         return {"frames": self.frames}
 
     def packed(self, shot: Shot) -> bytes:
-        """Encode one message with the poses of all tracked robots."""
+        """Encode one message with the poses of all tracked robots.
+
+        Untracked robots are left out.
+        """
         return self._message(shot, [body for body in shot.bodies if body.tracking_valid])
 
     def _stream(self, frame: Shot, now_ns: int) -> None:
-        """Publish a frame as one message for all robots, or as a message on each robot's topic."""
+        """Publish a frame as one message for all robots, or as a message on each robot's topic.
+
+        Robots that are not tracked are left out. `now_ns` is not used.
+        """
         self.frames += 1
         self._marker.write(MARKED)
         if len(self._ports) == 1 and len(frame.bodies) > 1:
@@ -94,7 +100,10 @@ class EmulatedTracker(PoseStream):
                 self._ports[body.id].write(self._message(frame, [body]))
 
     def _message(self, shot: Shot, shown: Sequence[RigidBody]) -> bytes:
-        """Encode a message with these bodies."""
+        """Encode a message with these bodies, in the section's frame.
+
+        Its time stamp is the exposure's time after EPOCH_NS.
+        """
         sec, nanosec = divmod(EPOCH_NS + shot.exposed_ns, SECOND)
         header = Header(Time(sec, nanosec), self.pose_section.frame)
         return self._packed(header, shown).serialize()

@@ -77,7 +77,7 @@ class Swims(MotionCheck):
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Warn of a pose that no command explains; see `GuardCheck.pose`.
 
-        The comparison then restarts at this pose.
+        The comparison then restarts at this pose. Nothing is yielded for any other pose.
         """
         fault = self.take_pose(robot, before, pose)
         if fault is not None:

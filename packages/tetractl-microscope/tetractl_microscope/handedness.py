@@ -53,7 +53,10 @@ class Handedness:
 
     @property
     def rotated(self) -> bool:
-        """Whether the cells certainly turn towards another direction than the field's."""
+        """Whether the cells certainly turn towards another direction than the field's.
+
+        The angle between them must exceed ALLOWED, and SURE times its standard deviation.
+        """
         return abs(self.turned) > max(ALLOWED, SURE * self.turned_sd)
 
 

@@ -69,13 +69,13 @@ class Organism:
 
     @property
     def quickness(self) -> float:
-        """Maximum speed in body lengths per second, relative to that of Tetrahymena."""
+        """Maximum speed in body lengths per second, as a multiple of that of Tetrahymena."""
         fastest = self.speed_um_s[1] / self.body_um[0]
         return fastest / (TETRAHYMENA.speed_um_s[1] / TETRAHYMENA.body_um[0])
 
 
 def _within(mean: float, deviation: float) -> Range:
-    """Return the range of about 95 % of normally distributed values."""
+    """Return the range of about 95 % of normal values: the mean plus and minus two deviations."""
     return mean - 2 * deviation, mean + 2 * deviation
 
 

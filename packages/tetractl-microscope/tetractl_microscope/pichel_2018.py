@@ -122,7 +122,10 @@ def interval_width(tables_of_set: Mapping[str, Any]) -> float:
 
 
 def misses_slope(tables_of_set: Mapping[str, Any]) -> bool:
-    """Check whether the 95 % interval from a set of tables excludes the simulated slope."""
+    """Check whether the 95 % interval from a set of tables excludes the simulated slope.
+
+    The ends belong to the interval.
+    """
     _, low, high = _fitted_to(tables_of_set)
     return not low <= tables_of_set["put in"] <= high
 

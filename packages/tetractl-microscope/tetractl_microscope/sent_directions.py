@@ -74,7 +74,7 @@ class TurnedCourse:
     angle: Floats
 
     def at(self, rows: Bools | slice) -> "TurnedCourse":
-        """Return the part of the course at the times that `rows` selects."""
+        """Return the part of the course that `rows`, a mask or a slice over its times, selects."""
         return TurnedCourse(self.times[rows], self.angle[rows])
 
 
@@ -141,7 +141,10 @@ def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
 
 
 def _course(times: Floats, angle: Floats) -> TurnedCourse:
-    """Create a course from angles (K - SMOOTH,), each measured over SMOOTH steps."""
+    """Create a course from angles, each measured over SMOOTH steps between times (K,) [s].
+
+    Each angle gets the time in the middle of its steps.
+    """
     return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
 
 
@@ -340,7 +343,10 @@ def turning_fit(
 
 
 def _pieces(path: Floats) -> list[Floats]:
-    """Split a path (K, 3) at long gaps, and return the pieces that last SHORTEST_S or more."""
+    """Split a path (K, 3) at gaps above LONGEST_GAP_S.
+
+    The pieces that last longer than SHORTEST_S are returned in their order.
+    """
     if len(path) < 2:
         return []
     cuts = np.flatnonzero(np.diff(path[:, 0]) > LONGEST_GAP_S) + 1

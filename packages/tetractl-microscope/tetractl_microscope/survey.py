@@ -175,7 +175,10 @@ def survey(
 
 
 def _keep_files(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
-    """Change a spec's relative file names so that they are valid from another folder."""
+    """Change a spec's file names, in place, to be relative to `new_folder` instead of `folder`.
+
+    Fields that name no file are left alone.
+    """
     for *sections, field in FILES:
         section = data
         for name in sections:
@@ -189,7 +192,7 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
     """Parse the option --micrometer: two positions [px], and their distance [um].
 
     Raises:
-        UsageError: If it is invalid.
+        UsageError: If it is not five finite numbers, or if the distance is not above 0.
     """
     try:
         a, b, c, d, um = (float(part) for part in text.split(","))
@@ -204,7 +207,10 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
 
 
 def _choice_line(proposal: "RankedChoice", unit: str) -> str:
-    """Describe a choice of cells: its predicted error, and which cells were near the edge."""
+    """Describe a choice of cells: its predicted error, and which cells were near the edge.
+
+    The error is "none, as no plan was found" if it is infinite.
+    """
     numbers = ", ".join(map(str, proposal.numbers))
     error = (
         f"{proposal.error:.0f} {unit}"

@@ -103,7 +103,7 @@ class Ros2Robots(SpeedRobots):
 
     @property
     def stopping_ports(self) -> list[SerialPort]:
-        """The ports that stop the robots: those of commands, then the emergency stop's if it exists."""
+        """The ports that stop the robots: those of commands, then the emergency stop's, if any."""
         emergency = [] if self._emergency_port is None else [self._emergency_port]
         return [*self._command_ports, *emergency]
 

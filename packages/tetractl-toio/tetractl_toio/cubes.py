@@ -99,9 +99,9 @@ class Cubes:
     def _receiver_of(self, cube: str) -> OnReceived:
         """Create the callback for bytes from a cube.
 
-        It passes each complete message to the cube's listeners. Of several messages of one
-        characteristic that arrive together, it passes only the last one. A refused setting
-        is recorded as the cube's failure.
+        It passes each complete message to the cube's listeners. If several messages of one
+        characteristic arrive together, it passes only the last one. A refused setting is recorded
+        as the cube's failure.
         """
         unpacker = Unpacker()
 

@@ -118,7 +118,10 @@ class Tracker:
         return pose, size
 
     def _unknown_tags(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
-        """Compute the poses of tags that are not in the spec, as if they were on the floor."""
+        """Compute the poses of tags that are not in the spec, as if they were on the floor.
+
+        The result is empty until the floor is known.
+        """
         plane = self.floor.plane
         if plane is None:
             return ()
@@ -126,10 +129,10 @@ class Tracker:
         return tuple(self._posed(plane.locate(sighting.corners), 0.0)[0] for sighting in unknown)
 
     def _posed(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
-        """Fit a square to four corners, shape (4, 2) [m].
+        """Fit a square to four corners, shape (4, 2) [m], and turn its heading by an offset [rad].
 
         Returns:
-            Its pose, and the length of its side [m].
+            Its pose in the spec's length unit, and the length of its side [m].
         """
         x, y = corners.mean(axis=0) / self._metres
         fit = np.vdot(_MODEL, corners[:, 0] + 1j * corners[:, 1]) / np.vdot(_MODEL, _MODEL).real
@@ -152,7 +155,11 @@ Finding = tuple[bool, str]
 def _findings(
     section: AprilTagSection, tracker: Tracker, searches: Sequence[PictureSearch[Seen]]
 ) -> Iterator[Finding]:
-    """Yield the problems and warnings about the tags in the newest images."""
+    """Yield a finding for each problem or warning about the tags in the newest images.
+
+    A finding is a pair: whether it is a problem, and its text. At least one image is needed,
+    and a tag that fewer than half of the images show counts as not seen.
+    """
     counts = Counter(tag for search in searches for tag in set(search.result.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
     shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(searches))
@@ -197,7 +204,10 @@ def _findings(
 
 
 def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
-    """Yield the problems and warnings about the positions of the floor tags and the lens."""
+    """Yield findings about the positions of the floor tags, and about a lens that they estimate.
+
+    An error above MISPLACED_MM is a warning, and one above MISFIT_MM or NaN is a problem.
+    """
     if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
         yield (
             not plane.worst_mm <= MISFIT_MM,
@@ -234,7 +244,7 @@ def _tags(numbers: Sequence[int]) -> str:
 
 
 def _listed(numbers: Sequence[int]) -> str:
-    """Join tag numbers with commas. "none" if there are none."""
+    """Join tag numbers with commas, in the order given. "none" if there are none."""
     return ", ".join(map(str, numbers)) or "none"
 
 
@@ -290,5 +300,5 @@ class AprilTagCamera(PictureCamera[Seen]):
         return Health(tuple(problems), tuple(warnings), facts)
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:
-        """Find the robots' tags in an image."""
+        """Find the robots' tags in an image. `exposed_ns` is not used."""
         return self._tracker.see(picture)

@@ -57,7 +57,10 @@ class Detector:
         self._top_left = _top_left_corner(self._detector)
 
     def find(self, picture: Grey) -> list[Sighting]:
-        """Find all tags in an image. If two tags have the same number, both are returned."""
+        """Find all tags in an image. If two tags have the same number, both are returned.
+
+        The list is empty if there are none.
+        """
         # narrow pictures are enlarged, as a module is often too small to be read
         factor = 2 if picture.shape[1] < 1000 else 1
         searched = picture
@@ -105,7 +108,10 @@ def _family() -> cv2.aruco.Dictionary:
 
 
 def _drawn(number: int) -> Grey:
-    """Draw a tag with OpenCV. It may be rotated relative to the AprilTag project's images."""
+    """Draw a tag with OpenCV, shape (8, 8), 0 or 255.
+
+    It may be rotated relative to the AprilTag project's images.
+    """
     return cv2.aruco.generateImageMarker(_family(), number, MODULES).astype(np.uint8)
 
 
@@ -165,7 +171,10 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
 
 
 def _sampled(picture: NDArray[np.uint8], points: Floats) -> Floats:
-    """Interpolate the grey levels (..., M) of an image at columns and rows (..., M, 2)."""
+    """Interpolate the grey levels (..., M) of an image at columns and rows (..., M, 2).
+
+    Positions outside the image give the level of the nearest pixel at its edge.
+    """
     flat = points.reshape(-1, points.shape[-2], 2).astype(np.float32)
     across = flat[..., 0].copy()
     down = flat[..., 1].copy()

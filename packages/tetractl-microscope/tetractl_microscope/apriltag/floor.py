@@ -113,7 +113,10 @@ class Plane:
 
 
 def placed(tag: FloorTag, metres: float) -> Floats:
-    """Compute the corners of a floor tag in the spec's axes, shape (4, 2) [m]."""
+    """Compute the corners of a floor tag in the spec's axes, shape (4, 2) [m].
+
+    `metres` is the length of the spec's unit [m].
+    """
     cos = np.cos(tag.heading)
     sin = np.sin(tag.heading)
     turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
@@ -229,7 +232,7 @@ def _fitted(
 
 
 def _flat(spots: Floats) -> Floats:
-    """Convert points on the floor (M, 2) to points in space (M, 3)."""
+    """Convert points on the floor (M, 2) to points in space (M, 3) at height 0."""
     return np.column_stack([spots, np.zeros(len(spots))])
 
 

@@ -230,7 +230,10 @@ class CellCamera(PictureCamera[SeenDish]):
         return [self._candidate(cell, view) for cell in sure]
 
     def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
-        """Convert a cell in view to a candidate."""
+        """Convert a cell in view to a candidate, in the spec's coordinates and length unit.
+
+        It is not `free` if it is near a wall.
+        """
         um_s, sd_um_s = view.speed(cell)
         per_um = 1e-6 / self._metres
         a = float(cell.mean[A])
@@ -259,7 +262,10 @@ class CellCamera(PictureCamera[SeenDish]):
 
     @property
     def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells. Empty until one image has shown all of them."""
+        """The numbers of the robots' cells, in the setup's order.
+
+        It is empty until one image has shown all of them.
+        """
         return self._robots.numbers
 
     @property
@@ -290,7 +296,10 @@ class CellCamera(PictureCamera[SeenDish]):
         return [frame for frame, dish in frames if dish.robots is self._robots]
 
     def additions(self) -> list[FrameAddition]:
-        """Return the additional log messages of each frame since the last call, oldest first."""
+        """Return the additional log messages of each frame since the last call, oldest first.
+
+        Each is returned once, and the list is empty if there are none.
+        """
         return drained(self._reports.added)
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
@@ -396,10 +405,13 @@ class CellCamera(PictureCamera[SeenDish]):
         return self._near_wall_in(self._view, x, y)
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
-        """Find the robots at image positions (R,) [um] whose cells a wall may turn."""
+        """Find the positions in the image (R,) [um] that are within WALL_UM of a wall."""
         to_edge = self._arena.inside(*self._placed(view, x, y))
         return to_edge < WALL_UM * 1e-6 / self._metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] in the image's axes, from the directions sent."""
+        """Return the field between two times [s] in the image's axes, from the directions sent.
+
+        It comes as pieces of constant field, oldest first.
+        """
         return self._sent.record(self.section.rotation).pieces(start, end)

@@ -49,7 +49,10 @@ class TrackBlob:
 
     @property
     def whole_place(self) -> Floats:
-        """The place, shape (5,), with NaN as the size of a blob that the image's edge cuts off."""
+        """The place of the blob, shape (5,): x, y [um], axis [rad], length and width [um].
+
+        Length and width are NaN if the image's edge cuts the blob off.
+        """
         if not self.blob.at_edge:
             return self.place
         return np.array((*self.place[:3], math.nan, math.nan))
@@ -103,7 +106,10 @@ class CellTrack:
 
     @property
     def is_shared(self) -> bool:
-        """Whether the blob that shows this cell in the newest image also shows other cells."""
+        """Whether the blob that shows this cell in the newest image also shows other cells.
+
+        It is False if no blob shows the cell.
+        """
         return self.newest is not None and self.newest.is_shared
 
     @property
@@ -241,13 +247,20 @@ class WhichIsWhich:
         return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
 
     def ends(self, now_s: float) -> bool:
-        """Check whether the answer is certain enough, or has been awaited long enough."""
+        """Check whether the question is answered at a time [s].
+
+        It is if the answer is certain enough after LEAST_S seconds, and in any case after
+        PATIENCE_S.
+        """
         open_s = now_s - self.since_s
         return open_s > PATIENCE_S or (open_s > LEAST_S and self.probabilities().max() > SURE)
 
 
 def orders(tracks: int) -> np.ndarray:
-    """Return all assignments of n cells to n tracks, shape (n!, n)."""
+    """Return all assignments of n cells to n tracks, shape (n!, n).
+
+    Column t of a row is the index of the cell that track t shows.
+    """
     all_orders = list(permutations(range(tracks)))
     return np.array(all_orders, int).reshape(-1, tracks)
 
@@ -266,7 +279,7 @@ def log_of_each(orders: np.ndarray, table: Floats) -> Floats:
 
 
 def normalised(logs: Floats) -> Floats:
-    """Convert log-probabilities, known up to a constant, to probabilities."""
+    """Convert log-probabilities, known up to a constant, to probabilities that add up to 1."""
     shares = np.exp(logs - logs.max())
     return shares / shares.sum()
 

@@ -169,7 +169,10 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
 
 
 def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:
-    """Return the median number of cells in view over one or more images."""
+    """Return the median number of cells in view over one or more images, as a whole number.
+
+    Cells of robots that are not tracked are not counted.
+    """
     dishes = [search.result for search in searches]
     counts = [
         len(dish.unknown_objects) + len(dish.poses) - dish.poses.count(None) for dish in dishes

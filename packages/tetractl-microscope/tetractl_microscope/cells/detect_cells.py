@@ -228,7 +228,10 @@ class SearchArrays:
         self.stripe = 0
 
     def next_stripe(self) -> slice:
-        """Return the rows of the stripe to update, and advance to the next stripe."""
+        """Return the rows of the stripe to update, and advance to the next one.
+
+        After the lowest stripe, the topmost follows.
+        """
         height = len(self.smooth)
         top = self.stripe * height // STRIPES
         bottom = (self.stripe + 1) * height // STRIPES
@@ -379,7 +382,10 @@ class BlobFinder:
         return Light(gain, noise, None, changed, lost, limit=high)
 
     def _blobs(self, newest: SearchArrays) -> list[Blob]:
-        """Return the blobs of the newest image, the largest first."""
+        """Return the blobs of the newest image, at most BLOBS, those of the largest regions first.
+
+        Regions whose bounding box is smaller than `least_px2` are left out.
+        """
         large = [region for region in self.regions() if _box_px2(region) >= self.least_px2]
         large.sort(key=_box_px2, reverse=True)
         blobs: list[Blob] = []
@@ -388,7 +394,10 @@ class BlobFinder:
         return blobs[:BLOBS]
 
     def regions(self) -> Sequence[np.ndarray]:
-        """Return the contours of all regions of the newest image that show no background."""
+        """Return the contours of all regions of the newest image that show no background.
+
+        They are in no useful order, and holes in a region are ignored.
+        """
         return cv2.findContours(self._newest.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
 
     def _without_ghosts(
@@ -441,7 +450,10 @@ class BlobFinder:
         self._relearn_if_lost()
 
     def _relearn_if_lost(self) -> None:
-        """Sample the newest image after several lost images, and learn from enough samples."""
+        """Sample every EVERY-th image after more than LOST lost images in turn.
+
+        Once there are AGAIN samples, learn the background from them.
+        """
         newest = self._newest
         if self._lost.in_turn > LOST and newest.stripe % EVERY == 0:
             self._lost.sample.append(newest.smooth.copy())
@@ -582,7 +594,7 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 
 
 def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
-    """Compute the median of images multiplied by gains, a few rows at a time to save memory."""
+    """Compute the median of images, each multiplied by its gain. It uses little memory."""
     median = np.empty(pictures[0].shape, np.float32)
     tall = max(1, min(SPARSE, ROWS_PX // median[0].size))
     for top in range(0, len(median), tall):
@@ -595,5 +607,8 @@ def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
 
 
 def _grey(picture: np.ndarray) -> Grey:
-    """Convert an image to whole grey levels."""
+    """Convert an image to 8-bit grey levels.
+
+    Fractions are cut off, and the range is not checked.
+    """
     return np.asarray(picture, np.uint8)

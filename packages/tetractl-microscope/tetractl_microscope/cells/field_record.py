@@ -33,9 +33,10 @@ class FieldRecord(SentDirections):
         return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] as constant pieces.
+        """Return the field between two times [s] as constant pieces, oldest first.
 
-        Each piece has its duration [s], x and y.
+        Each piece has its duration [s], x and y. Before the first recorded time, both are
+        0.
         """
         first, last = np.searchsorted(self.times, (start, end), side="right")
         cuts = np.array([start, *self.times[first:last], end])
@@ -69,7 +70,11 @@ class FieldSignals:
                 self._newest = direction
 
     def record(self, rotation: float) -> FieldRecord:
-        """Return the recorded field in axes that are rotated by `rotation` [rad]."""
+        """Return the recorded field in axes that are rotated by `rotation` [rad], anticlockwise.
+
+        There is no field before the first direction, and only the newest WAITING_MAX are
+        kept.
+        """
         with self._lock:
             sent = [NO_FIELD_YET, *self._sent]
         times, directions, strengths = np.array(sent).T

@@ -95,7 +95,11 @@ def check_state(
 
 
 def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:
-    """Check whether the filter's position of a cell is too far from the cell's blob."""
+    """Check whether the filter's position of a cell is too far from the cell's blob.
+
+    It is if they are more than ASTRAY body lengths apart, and if the blob's position is
+    precise.
+    """
     x, y, _ = reading.values
     state = bank.mean[reading.cell.row, :2].tolist()
     is_certain = reading.deviations[0] < MERGED.position * body_um

@@ -207,7 +207,10 @@ class HelixFilter:
         return row
 
     def copied(self, row: int) -> int:
-        """Copy a row to a free row, and return the index of the copy."""
+        """Copy a row to a free row, and return the index of the copy.
+
+        If no row is free, the arrays grow and are replaced.
+        """
         new = self._free()
         self.mean[new] = self.mean[row]
         self.covariance[new] = self.covariance[row]
@@ -239,7 +242,10 @@ class HelixFilter:
         self.used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
-        """Run the time update for every cell, over successive intervals of constant field."""
+        """Run the time update for every cell, over successive intervals of constant field.
+
+        Each piece has its duration [s], x and y. Nothing happens if there are none.
+        """
         if pieces:
             field = np.array(pieces, np.float64)
             walled = self.near_wall(self.mean[:, X], self.mean[:, Y])

@@ -53,6 +53,9 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has been uncertain which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Forget the identity of a robot that is now another cell."""
+        """Forget the identity of the robot with index `i`, which is now another cell.
+
+        It then no longer counts as unknown.
+        """
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

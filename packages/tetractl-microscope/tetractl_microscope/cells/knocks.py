@@ -37,7 +37,10 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
 
 
 def _both(shift: float, size: int) -> slice:
-    """Return the pixels along one axis that an image shows both before and after a shift."""
+    """Return the pixels along one axis that an image shows both before and after a shift [px].
+
+    They are counted in the image after the shift.
+    """
     begin = max(0, math.ceil(shift))
     end = size + min(0, math.floor(shift))
     return slice(begin, end)
@@ -63,6 +66,9 @@ def _even(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
 
 
 def _features(even: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the features that stand out of an even image. Noise and fixed patterns become 0."""
+    """Return the features that stand out of an even image, reduced by the threshold.
+
+    Everything that stands out less, such as noise and fixed patterns, becomes 0.
+    """
     least = STANDS_OUT * float(np.median(np.abs(even[::4, ::4])))
     return even - np.clip(even, -least, least)

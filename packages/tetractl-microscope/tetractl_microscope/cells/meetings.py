@@ -89,7 +89,8 @@ class Meetings:
     def _join(self, meeting: Meeting, track: CellTrack) -> None:
         """Add a track to a meeting, with a copy of its cell's filter row.
 
-        The copy is predicted without measurements.
+        The copy is predicted without measurements. The track must not be in a meeting
+        already.
         """
         row = self._bank.copied(track.row)
         meeting.members.append(Member(track, row, track.identity, track.certainty, track.size))
@@ -156,5 +157,5 @@ class Meetings:
         return log_densities(self._bank, meeting.rows, places, sd_um, self._log_unknown())
 
     def _log_unknown(self) -> float:
-        """Return the log-density of an unknown object that comes out of a blob [1/um^2]."""
+        """Return the log-density of an unknown object that comes out of a blob, in ln of 1/um^2."""
         return math.log(UNKNOWN_JOINS / (math.pi * (FROM_BLOB * self._body_um) ** 2))

@@ -199,7 +199,11 @@ class Names:
         self._bank.drop(track.row)
 
     def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
-        """Remove a track that is given up from its meeting."""
+        """Remove a track that is given up from its meeting.
+
+        If one track remains, and its own cell is not likely enough, the meeting ends and
+        the certainty of that track's identity falls.
+        """
         shares = self._meetings.own_shares(meeting).tolist()
         remaining = [
             (member, share)
@@ -216,7 +220,11 @@ class Names:
     # ---- answers ----
 
     def answer(self, seconds: float) -> None:
-        """Name tracks by the most probable answers, and close the questions that are decided."""
+        """Name tracks by the most probable answers, and close the questions that are decided.
+
+        A question is also closed if it has been open for too long. `seconds` is the
+        present time.
+        """
         for question in list(self._questions):
             self._name_by(question)
             if question.ends(seconds):
@@ -292,7 +300,11 @@ class Names:
             track.row = int(question.rows[t, order[t]])
 
     def _end(self, question: WhichIsWhich) -> None:
-        """Close a question with its most probable answer."""
+        """Close a question with its most probable answer, and report that answer.
+
+        The certainty of each track's identity becomes the answer's probability times the
+        cell's certainty before. Filter rows of other answers become free.
+        """
         order, shares = question.best()
         probabilities = question.probabilities()
         self._name_by(question)

@@ -116,7 +116,7 @@ class Newcomers:
         return new_cells
 
     def _drop_hidden(self, now: PictureNow) -> None:
-        """Drop specks without a blob for long, and sooner those that were seen only a few times."""
+        """Drop specks without a blob for HIDDEN_S, or for `brief_s` if their path is short."""
         remaining = list[Speck]()
         for speck in self.specks:
             is_old = len(speck.path) == PATH
@@ -125,12 +125,18 @@ class Newcomers:
         self.specks = remaining
 
     def in_view(self, now: PictureNow) -> list[tuple[float, float]]:
-        """Return the last position x, y [um] of each speck that is in view."""
+        """Return the last position x, y [um] of each speck that is in view.
+
+        A speck counts as in view until it has had no blob for `brief_s` seconds.
+        """
         newest = [speck.path[-1] for speck in self.specks if speck.missed_s < now.brief_s]
         return [(blob.x, blob.y) for blob in newest]
 
     def awaited(self) -> list[CellTrack]:
-        """Return the cells near which a speck was first seen that may still become a cell."""
+        """Return the cells near which a speck was first seen that may still become a cell.
+
+        A cell appears once for each such speck.
+        """
         return [
             speck.near
             for speck in self.specks

@@ -40,11 +40,18 @@ class PictureNow:
         return max(BRIEF_S, MISSING * self.passed_s)
 
     def to_edge(self, x: float, y: float) -> float:
-        """Compute the distance of a position from the image's edge [um]."""
+        """Compute the distance of a position from the image's edge [um].
+
+        Negative outside the image.
+        """
         return min(x, y, self.width * self.um_px - x, self.height * self.um_px - y)
 
     def places_of(self, blobs: Sequence[Blob]) -> Floats:
-        """Convert B blobs to x, y [um], axis [rad], length and width [um], shape (B, 5)."""
+        """Convert B blobs to x, y [um], axis [rad], length and width [um], shape (B, 5).
+
+        The origin is the image's lower left corner, y points up, and angles are
+        anticlockwise.
+        """
         um_px = self.um_px
         places = [
             (
@@ -59,12 +66,15 @@ class PictureNow:
         return np.array(places).reshape(-1, 5)
 
     def points_of(self, blob: Blob) -> Floats:
-        """Compute x and y of a blob's M pixels, shape (M, 2) [um]."""
+        """Compute x and y of a blob's M pixels from the image's lower left corner, (M, 2) [um]."""
         columns, rows = blob.pixels.T
         return np.column_stack([columns + 0.5, self.height - 0.5 - rows]) * self.um_px
 
     def pixels_of(self, places: Floats) -> Floats:
-        """Convert positions (N, >= 2) [um] to columns and rows, shape (N, 2)."""
+        """Convert positions (N, >= 2) [um] to columns and rows, shape (N, 2) [px].
+
+        Columns after the first two are ignored.
+        """
         return pixels_of(places, self.um_px, self.height)
 
 

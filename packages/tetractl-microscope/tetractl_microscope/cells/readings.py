@@ -96,7 +96,10 @@ def note_own_reading(reading: BlobReading) -> None:
 
 
 def _is_unusual(cell: CellTrack, newest: TrackBlob) -> bool:
-    """Check whether a cell's own blob is too large or too small for the cell, or cut off."""
+    """Check whether a cell's own blob is too large or too small for the cell, or cut off.
+
+    It is cut off if it touches the image's edge.
+    """
     _, _, _, long, wide = newest.place.tolist()
     is_smaller = long * wide < cell.size.area_um2 / LARGE**2
     return newest.is_large or is_smaller or newest.blob.at_edge

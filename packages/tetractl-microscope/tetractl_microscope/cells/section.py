@@ -76,7 +76,10 @@ class CellsSection(PictureSection):
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
     def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
-        """Convert positions in the image to the spec's coordinates; see `Microscope.placed`."""
+        """Convert positions in the image [um] to the spec's coordinates; see `Microscope.placed`.
+
+        `metres` is the length of the spec's unit [m].
+        """
         cos = math.cos(self.rotation)
         sin = math.sin(self.rotation)
         scale = 1e-6 / metres

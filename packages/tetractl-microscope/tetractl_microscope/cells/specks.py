@@ -77,7 +77,10 @@ def swims(entries: Sequence[PathBlob], organism: Organism) -> bool:
 
 
 def usual_size(path: Floats) -> BodySize:
-    """Compute the median size of the blobs of a path (M, 6) that are not cut off."""
+    """Compute the median size of the blobs of a path (M, 6) that are not cut off.
+
+    At least one must not be.
+    """
     is_whole = np.isfinite(path[:, 4])
     long, wide = np.median(path[is_whole, 4:6], axis=0).tolist()
     return BodySize(long, wide)

@@ -141,20 +141,27 @@ class CellTracker:
     # ---- step 1: cells are predicted, and blobs found ----
 
     def _now(self, picture: Grey, seconds: float) -> PictureNow:
-        """Describe the newest image: its time, the time since the previous one, and its size."""
+        """Describe the newest image: its time, the time since the previous one, and its size.
+
+        That time is 0 for the first image.
+        """
         height, width = picture.shape
         passed_s = 0.0 if self._seconds is None else seconds - self._seconds
         return PictureNow(seconds, passed_s, self.um_px, height, width)
 
     def _predict(self, now: PictureNow, field: FieldPieces) -> None:
-        """Predict the states of the cells from the previous image to the newest."""
+        """Predict the states of the cells from the previous image to the newest.
+
+        Nothing is predicted for the first image.
+        """
         pieces = () if self._seconds is None else field(self._seconds, now.seconds)
         self.bank.predict(pieces)
 
     def _find_blobs(self, picture: Grey) -> list[Blob]:
-        """Find the blobs of an image.
+        """Find the blobs of an image that are longer than the organism's shortest outline.
 
-        If a knock has shifted the image, all objects are moved with it.
+        If a knock has shifted the image, all objects are moved with it. The list is empty
+        if the light is lost.
         """
         blobs = self.finder.find(picture)
         light = self.finder.light
@@ -231,7 +238,11 @@ class CellTracker:
     def _give_specks(
         self, assignment: match.Assignment, seen: Sequence[TrackBlob], now: PictureNow
     ) -> list[FreeBlob]:
-        """Give the specks their blobs, and return all blobs without a cell."""
+        """Give the specks their blobs, and return all blobs without a cell.
+
+        A returned blob has its speck, or None if it is a new one. A speck without a blob
+        has been missed for the time since the previous image.
+        """
         speck_of = {}
         for speck, blob in zip(self._newcomers.specks, assignment.of_specks, strict=True):
             if blob is None:
@@ -342,7 +353,10 @@ class CellTracker:
         self._cells = remaining
 
     def _has_swum(self, cell: CellTrack) -> bool:
-        """Check whether a cell has swum far enough to be no longer new."""
+        """Check whether a cell has swum farther than NEW body lengths, and so is no longer new.
+
+        A cell stays so once it has.
+        """
         if cell.start is None:
             return True
         way_um = math.dist(cell.last.tolist(), cell.start.tolist())
@@ -367,7 +381,10 @@ class CellTracker:
         return rectangles
 
     def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
-        """Return the estimates of cells in the newest image."""
+        """Return the estimates of cells in the newest image, in the order of `cells`.
+
+        A cell without a blob in this image has its predicted place.
+        """
         rows = np.array([cell.row for cell in cells], int)
         places, _ = self.bank.expected(rows)
         means = self.bank.mean[rows]

@@ -21,7 +21,10 @@ class TracksCells(Protocol):
 
     @property
     def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells. Empty until one image has shown all of them."""
+        """The numbers of the robots' cells, in the setup's order.
+
+        It is empty until one image has shown all of them.
+        """
         ...
 
     @property

@@ -138,7 +138,10 @@ def ranked(
 
 
 def _order(candidate: RankedChoice) -> tuple[bool, bool, float]:
-    """Return the sort key of a choice. The best choice has the smallest key."""
+    """Return the sort key of a choice. The best choice has the smallest key.
+
+    Choices with a plan come first, then those without a cell near the edge, then small errors.
+    """
     is_uncertain = not all(cell.free for cell in candidate.cells)
     return math.isinf(candidate.error), is_uncertain, candidate.error
 

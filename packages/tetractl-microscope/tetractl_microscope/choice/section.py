@@ -21,7 +21,10 @@ class Ring(Model):
     """Radius of the circle [length unit]."""
 
     def points(self, count: int) -> tuple[tuple[float, float], ...]:
-        """Return `count` targets x, y [length unit], evenly spaced on the circle."""
+        """Return `count` targets x, y [length unit], evenly spaced on the circle.
+
+        The first one is to the right of the centre, and the others follow anticlockwise.
+        """
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
         points: list[tuple[float, float]] = []
@@ -116,7 +119,10 @@ class Choice(TrialRobots):
 
 
 def choice_of(experiment: Experiment) -> Choice:
-    """Return the rule by which an experiment's trials choose their robots."""
+    """Return the rule by which an experiment's trials choose their robots.
+
+    It is an `AssertionError` if the spec's robots are given instead.
+    """
     assert isinstance(experiment.chosen, Choice), (
         "the spec must say which robots to choose, with robots: {choose: N}"
     )

@@ -97,7 +97,10 @@ class FieldActuator:
         self.driver.close()
 
     def settle(self, setup: Setup) -> None:
-        """Use the turning rates and speeds of a new setup, after a trial has chosen its cells."""
+        """Use the turning rates and speeds of a new setup, after a trial has chosen its cells.
+
+        The field stays as it is.
+        """
         self._a = setup.a
         self._speed = setup.speed
 
@@ -164,11 +167,17 @@ class FieldActuator:
         return self._transmission(Stop(), sent_ns, OFF, no_turning)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return one status per cell, with `answers` None, because cells cannot be polled."""
+        """Return one status per cell at once, with `answers` None, because cells cannot be polled.
+
+        `timeout_s` is not used.
+        """
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
-        """Switch the field off, and check the driver; see `inspect`."""
+        """Switch the field off, and check the driver; see `inspect`.
+
+        If the driver does not answer, this is the only problem.
+        """
         try:
             reply = self.driver.ask()
         except AbortError as error:
@@ -187,7 +196,11 @@ class FieldActuator:
     def _transmission(
         self, action: Action, sent_ns: int, currents: Pair, headings: Floats
     ) -> Transmission:
-        """Describe a transmission: the field of the currents [A], and how it turns each cell."""
+        """Describe a transmission: the field of the currents [A], and how it turns each cell.
+
+        Headings are in radians. The turning rates grow with the field's strength, and are
+        0 for a cell whose heading is NaN.
+        """
         x_mt, y_mt = self.coils.field(currents)
         strength = float(np.hypot(x_mt, y_mt))
         towards = float(np.arctan2(y_mt, x_mt))
@@ -312,5 +325,5 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
 
 
 def _holding(lines: dict[str, bool]) -> tuple[str, ...]:
-    """Return the messages whose condition holds."""
+    """Return the messages whose condition holds, in the order of `lines`."""
     return tuple(text for text, holds in lines.items() if holds)

@@ -147,7 +147,10 @@ class Driver:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the driver no longer makes a field. None if it does."""
+        """The reason why the driver no longer makes a field. None if it does.
+
+        Reasons are a failed port, silence, heat and an emergency stop.
+        """
         newest = self.newest
         now_ns = self._clock.now()
         if self._port.failure is not None:
@@ -166,7 +169,10 @@ class Driver:
 
     @property
     def is_emergency_stopped(self) -> bool:
-        """Whether the newest reply reports an emergency stop, which lasts until a power cycle."""
+        """Whether the newest reply reports an emergency stop, which lasts until a power cycle.
+
+        It is False before the first reply.
+        """
         newest = self.newest
         return newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status
 
@@ -236,7 +242,10 @@ class Driver:
         self._port.close()
 
     def _answered(self, sequence: int) -> bool:
-        """Check whether the newest reply answers the command with this number."""
+        """Check whether the newest reply answers the command with this number.
+
+        It does not if there is no reply yet, or if a later command was answered since.
+        """
         return self.newest is not None and self.newest.sequence == sequence
 
     def _hear(self, data: bytes, now_ns: int) -> None:

@@ -121,7 +121,7 @@ class CoilsSection(Model):
         return cos * x - sin * y, sin * x + cos * y
 
     def _axes(self, direction: float) -> Pair:
-        """Return the unit vector along a direction [rad], in the coils' axes."""
+        """Return the unit vector along a direction [rad] of the spec, in the coils' axes."""
         return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
 
 
@@ -186,7 +186,8 @@ class FieldSection(ActuatorSection):
     def reference_mt(self, setup: Setup) -> float:
         """Return the field strength at which cells turn at the setup's rates [mT].
 
-        NaN if unknown.
+        The setup's strength comes first, then the section's `strength_mt`. NaN if neither
+        is given.
         """
         return setup.strength or self.strength_mt or math.nan
 

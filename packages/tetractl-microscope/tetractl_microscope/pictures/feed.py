@@ -40,7 +40,7 @@ class Feed(Protocol):
 
     @property
     def damaged(self) -> int:
-        """Number of parts of the stream that could not be decoded so far."""
+        """Number of parts of the stream that could not be decoded so far. 0 by default."""
         return 0
 
     def read(self) -> Picture:
@@ -52,7 +52,10 @@ class Feed(Protocol):
         ...
 
     def interrupt(self) -> None:
-        """End a `read` that waits in another thread. Not needed if `read` never waits for long."""
+        """End a `read` that waits in another thread. By default, nothing happens.
+
+        A source whose `read` never waits for long need not override this method.
+        """
 
     def close(self) -> None:
         """Release the source."""

@@ -160,14 +160,16 @@ class MicroManagerFeed(Feed):
         self._closing.set()
 
     def close(self) -> None:
-        """Stop the acquisition and release the camera."""
+        """Stop the acquisition and release the camera, even if stopping fails."""
         try:
             self._core.stopSequenceAcquisition()
         finally:
             self._core.reset()
 
     def _grey(self, pixels: np.ndarray) -> np.ndarray:
-        """Convert pixels to 8-bit grey levels."""
+        """Convert pixels to 8-bit grey levels.
+
+        Grey pixels keep their upper bits. Pixels of 4 bytes become the mean of the first three."""
         if pixels.dtype.itemsize < 4:
             return np.minimum(pixels >> self._shift, 255).astype(np.uint8)
         colours = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)

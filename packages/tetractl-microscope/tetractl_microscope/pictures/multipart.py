@@ -27,7 +27,11 @@ class Multipart:
         self._bodies: list[bytes] = []
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Add received bytes, and return the bodies that they complete, oldest first."""
+        """Add received bytes, and return the bodies that they complete, oldest first.
+
+        Bytes of an incomplete body are kept for the next call. Damaged parts are dropped
+        and counted.
+        """
         self._held += data
         while self._part() if self._inside else self._find():
             pass
@@ -36,7 +40,10 @@ class Multipart:
         return bodies
 
     def _find(self) -> bool:
-        """Drop the bytes up to the next boundary. Returns whether there is one in the buffer."""
+        """Drop the bytes up to the next boundary, and the boundary. Return whether there is one.
+
+        Without one, bytes that may be its beginning are kept.
+        """
         found_at = self._held.find(self._mark)
         if found_at < 0:
             del self._held[: max(0, len(self._held) - len(self._mark) + 1)]
@@ -45,7 +52,11 @@ class Multipart:
         return True
 
     def _part(self) -> bool:
-        """Try to complete the part at the start of the buffer. Returns whether to continue."""
+        """Try to complete the part at the start of the buffer. Return whether to continue.
+
+        An invalid part is dropped. If more bytes are needed, the buffer stays as it is and
+        the result is False.
+        """
         head = self._held.find(_BLANK, 0, HEAD_MAX)
         cut = self._held.find(self._mark, 0, head if head >= 0 else HEAD_MAX)
         if cut >= 0 or (head < 0 and len(self._held) >= HEAD_MAX):
@@ -82,20 +93,30 @@ class Multipart:
         return True
 
     def _drop(self) -> bool:
-        """Drop the present part as damaged. Returns True, to continue with the next boundary."""
+        """Give up the present part as damaged, and count it.
+
+        The result is always True, to continue with the next boundary.
+        """
         self.damaged += 1
         self._cut(0, inside=False)
         return True
 
     def _cut(self, end: int, inside: bool) -> None:
-        """Remove bytes from the start of the buffer."""
+        """Remove `end` bytes from the start of the buffer.
+
+        `inside` says whether the buffer then starts with a part.
+        """
         del self._held[:end]
         self._inside = inside
         self._scanned = 0
 
 
 def _content_length(head: bytes) -> int | None:
-    """Return the Content-Length of a part. None if it is missing, and -1 if it is no number."""
+    """Return the Content-Length of a part.
+
+    The result is None if it is missing, and -1 if it is not a number or has more than 11
+    digits.
+    """
     for line in head.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"content-length":

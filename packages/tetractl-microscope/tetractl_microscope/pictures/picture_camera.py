@@ -147,7 +147,10 @@ class PictureSearches(Generic[R]):
             self.changed.notify_all()
 
     def end(self, reason: str) -> None:
-        """Record why no more images arrive, unless an error was recorded before."""
+        """Record why no more images arrive, unless an error was recorded before.
+
+        Waiting threads are woken in both cases.
+        """
         with self.changed:
             if self.failure is None:
                 self.end_reason = reason
@@ -321,7 +324,7 @@ class PictureCamera(ABC, Generic[R]):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop both threads and close the source."""
+        """Stop both threads and close the source. It waits up to ENDS_WITHIN_S for each thread."""
         self._queue.close()
         if self._feed is not None:
             self._feed.interrupt()
@@ -329,7 +332,7 @@ class PictureCamera(ABC, Generic[R]):
             thread.join(ENDS_WITHIN_S)
 
     def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
-        """Describe the resolution, the frame rate and the duration of a search, as far as known."""
+        """Describe resolution, image rate and search time. Unknown ones are left out."""
         facts: dict[str, str] = {}
         if self._size is not None:
             facts["resolution"] = f"{self._size[1]}x{self._size[0]}"
@@ -341,7 +344,10 @@ class PictureCamera(ABC, Generic[R]):
         return facts
 
     def _read(self, feed: Feed) -> None:
-        """Put the images of the source into the queue until it ends, in the thread "pictures"."""
+        """Put the images of the source into the queue until it ends, in the thread "pictures".
+
+        The source is closed in any case. Errors are recorded instead of raised.
+        """
         number = 0
         try:
             while not self._queue.closed:
@@ -357,7 +363,10 @@ class PictureCamera(ABC, Generic[R]):
             feed.close()
 
     def _find(self) -> None:
-        """Search the images in the queue until it is closed, in the thread "finding"."""
+        """Search the images in the queue until it is closed, in the thread "finding".
+
+        Errors are recorded instead of raised.
+        """
         try:
             waiting = self._queue.take()
             while waiting is not None:
@@ -373,7 +382,11 @@ class PictureCamera(ABC, Generic[R]):
         self._search(self._joined, Picture(jpeg, self._clock.now()))
 
     def _search(self, number: int, picture: Picture) -> None:
-        """Decode and search an image, and add a frame if the search returns a result."""
+        """Decode and search an image, and add a frame if the search returns a result.
+
+        An image that cannot be decoded, or that has another size than the first one, only
+        counts as damaged. An image that repeats the previous one is skipped.
+        """
         began_ns = self._clock.now()
         exposed_ns = picture.received_ns - round(self._source.latency * SECOND)
         try:
@@ -399,7 +412,10 @@ class PictureCamera(ABC, Generic[R]):
         self._wake()
 
     def _repeats(self, grey: Grey) -> bool:
-        """Decide whether an image repeats the newest one to the last bit, and is not black."""
+        """Decide whether an image repeats the newest one to the last bit.
+
+        An image of one grey level, such as a black one, never does.
+        """
         newest = self._newest_picture
         return newest is not None and np.array_equal(newest, grey) and int(np.ptp(grey)) > 0
 

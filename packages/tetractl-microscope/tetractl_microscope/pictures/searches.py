@@ -32,7 +32,7 @@ class PictureSearch(Generic[S]):
 
 
 def stated(values: Iterable[T | None]) -> list[T]:
-    """Return the given values without those that are None."""
+    """Return the given values without those that are None, in their order."""
     return [value for value in values if value is not None]
 
 
@@ -42,7 +42,10 @@ def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
 
 
 def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
-    """Compute the rate of images, searched or not [Hz]. None if it is unknown."""
+    """Compute the rate of images [Hz] from their numbers, including images that were not searched.
+
+    The result is None if it is unknown.
+    """
     received_ns = [search.received_ns for search in searches]
     return rate_hz([search.number for search in searches], received_ns)
 

@@ -219,7 +219,10 @@ class FileFeed(Feed):
             self._film.close()
 
     def _grey(self, pixels: np.ndarray) -> Grey:
-        """Convert pixels to 8-bit grey levels: the upper bits of those in the first image."""
+        """Convert pixels to 8-bit grey levels, shifted by as many bits as the first image needs.
+
+        Colours are averaged first, and larger levels become 255.
+        """
         if pixels.ndim == 3:
             pixels = pixels[..., :3].mean(axis=-1)
         levels = pixels.astype(np.int64) >> self._shift
@@ -227,7 +230,7 @@ class FileFeed(Feed):
 
 
 def _single_images(film: Any) -> Iterator[np.ndarray]:
-    """Yield the images of a film. A TIFF file may have all images in one array."""
+    """Yield the images of a film one by one. An array that holds several images is split."""
     for image in film.iter():
         is_stack = image.ndim > 2 and image.shape[-1] not in (3, 4)
         yield from image if is_stack else [image]
@@ -311,7 +314,10 @@ class MjpegFeed(Feed):
         return Picture(self._waiting.pop(0), self._clock.now())
 
     def interrupt(self) -> None:
-        """Shut down the connection, which ends a wait for data."""
+        """Shut down the connection, which ends a wait for data in another thread.
+
+        It never raises.
+        """
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 

@@ -13,7 +13,7 @@ BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
 
 
 def _jpeg_image(picture: Grey) -> bytes:
-    """Encode an image as a log message."""
+    """Encode an image as JPEG in a log message. Its data is empty if encoding fails."""
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
     coded = data.tobytes() if done else b""
     return CompressedImage(frame_id=LENS, data=coded, format="jpeg").SerializeToString()

@@ -67,7 +67,10 @@ RESPONSES = "a_rad_s", "bias_rad"
 
 
 def cell_tables(record: Record) -> list[Table]:
-    """Create the tables to print: a row for each cell, and the mean of each quantity."""
+    """Create the tables to print: one row for each cell, and the mean of each quantity.
+
+    Columns without any value are left out, and so are the means of fewer than two cells.
+    """
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:
@@ -80,7 +83,10 @@ def cell_tables(record: Record) -> list[Table]:
 
 
 def _text(entry: Any, decimals: int) -> str:
-    """Format an entry of a cell, with its interval if it has one."""
+    """Format an entry of a cell, with its 95 % interval in brackets if it has one.
+
+    True and False become "yes" and "no".
+    """
     if isinstance(entry, bool):
         return "yes" if entry else "no"
     if isinstance(entry, Mapping):
@@ -144,7 +150,11 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
 
 
 def _means(cells: list[Record]) -> list[Table]:
-    """Create the table of means over cells. Empty for fewer than two cells."""
+    """Create the table of means over cells, with n, 95 % intervals and standard deviations.
+
+    The list is empty for fewer than two cells, or if no cell has a value. Quantities without
+    any value have no row.
+    """
     rows = []
     for quantity in QUANTITIES if len(cells) > 1 else ():
         known_cells, values = known_values(cells, quantity.key)
@@ -166,7 +176,10 @@ def _means(cells: list[Record]) -> list[Table]:
 
 
 def cell_data(record: Record) -> Table:
-    """Create the data table: a row for each cell, with intervals as columns of their ends."""
+    """Create the data table: one row for each cell, with intervals as columns of their ends.
+
+    A value or an end that is unknown is None.
+    """
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:

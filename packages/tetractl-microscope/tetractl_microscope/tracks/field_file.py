@@ -71,7 +71,10 @@ def clock_remarks(
 
 
 def _no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
-    """Create the error for a table without a required column."""
+    """Create the error for a table without a required column. It shows the first eight columns.
+
+    If there are no columns, it says that the file has no rows.
+    """
     if not headers:
         return UsageError(f"{path}: the file has no rows below its header")
     has = printable(", ".join(headers[:8]))

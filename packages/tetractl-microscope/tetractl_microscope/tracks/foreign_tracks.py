@@ -53,7 +53,7 @@ def _is_time(unit: str) -> bool:
 
 
 def _is_place(unit: str) -> bool:
-    """Check whether a unit is a unit of length, or pixels."""
+    """Check whether a unit is a unit of length that can be converted to um, or pixels."""
     return unit in PIXELS or factor(unit, MICROMETRES) is not None
 
 
@@ -325,7 +325,10 @@ def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Float
 
 
 def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
-    """Warn if all image numbers are multiples of a large step, because they may be milliseconds."""
+    """Add a warning to `remarks` if all image numbers are multiples of SPARSE or a larger step.
+
+    Such numbers may be milliseconds. They are counted from the first image.
+    """
     after_first = (frames - frames.min()).astype(np.int64)
     step = int(np.gcd.reduce(after_first))
     if step >= SPARSE:
@@ -339,7 +342,11 @@ def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) ->
 def _note_other_times(
     path: Path, stated: Floats, times: Floats, rate_hz: float, remarks: list[str]
 ) -> None:
-    """Warn if the times (R,) [s] from the given rate differ from those that a table contains."""
+    """Add a warning to `remarks` if the times (R,) [s] of a table differ from those of --rate.
+
+    They must differ by more than half the time between two images. Both are counted from their
+    first time.
+    """
     most = float(np.abs((stated - stated[0]) - (times - times[0])).max())
     if most > 0.5 / rate_hz:
         remarks.append(
@@ -430,7 +437,9 @@ def _graph(path: Path) -> SpotTable:
 
 
 def _problem_of(error: Exception) -> str:
-    """Describe an error of a library in one line."""
+    """Describe an error of a library in one line of at most ERROR_CHARACTERS_MAX characters.
+
+    If it is an error of pydantic, only its first problem is described."""
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):
         first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]

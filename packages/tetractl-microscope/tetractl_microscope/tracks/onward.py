@@ -84,7 +84,10 @@ def onward(places: Floats, apart: int) -> Onward:
 
 
 def hardly_any_goes_on(going_on: Sequence[bool]) -> bool:
-    """Check whether so few objects keep their direction that this may be chance."""
+    """Check whether so few objects keep their direction that this may be chance.
+
+    It is False without any object.
+    """
     return sum(going_on) < FEW * len(going_on)
 
 

@@ -177,7 +177,10 @@ def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
 
 
 def _speed_um_s(path: CellPath) -> float:
-    """Return the median speed of a cell over SPEED_S [um/s]."""
+    """Return the median speed of a cell over SPEED_S seconds, or its whole path if that is shorter.
+
+    The path needs at least two images. The speed is in um/s and never 0.
+    """
     step_s = float(np.median(np.diff(path.times)))
     steps = max(1, round(SPEED_S / step_s))
     steps = min(steps, len(path.times) - 1)

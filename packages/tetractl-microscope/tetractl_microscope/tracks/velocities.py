@@ -47,6 +47,6 @@ def _ends(times: Floats) -> list[int]:
 
 
 def distance_um(places: Floats) -> float:
-    """Compute the length of a path through positions (K, 2) [um]."""
+    """Compute the length of a path through positions (K, 2) [um]. It is 0 for a single position."""
     steps = np.diff(places, axis=0)
     return float(np.linalg.norm(steps, axis=1).sum())

@@ -49,7 +49,7 @@ class TwistProgram(OwnProgram):
         self.is_emergency_stopped = False
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the wheel speeds that act now [unit_mm mm/s]. Both are 0 after an emergency stop."""
+        """Return the present wheel speeds [unit_mm mm/s]. Both are 0 after an emergency stop."""
         return (0, 0) if self.is_emergency_stopped else super().wheels(now_ms)
 
     def status(self, now_ms: int) -> Status:

@@ -106,7 +106,9 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
         if isinstance(value, np.ndarray):
             shape = (robots, len(INNOVATIONS)) if name == "misfit" else (robots,)
             if value.shape != shape:
-                raise ValueError(f"an estimated {name} has shape {value.shape}")
+                raise ValueError(
+                    f"an estimated {name} has shape {value.shape}, but it must be {shape}"
+                )
         values[f"an estimated {name}"] = np.atleast_1d(value).ravel()
     return values
 

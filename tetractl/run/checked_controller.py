@@ -143,7 +143,7 @@ def _array(value: Any) -> Floats:
 
 def _outcome(value: Any) -> Outcome:
     if not (isinstance(value, Outcome) and value.complete):
-        raise ValueError(f"{value} is not an Outcome that a controller can decide")
+        raise ValueError(f"{value} is not an Outcome with which a controller can end a trial")
     return value
 
 

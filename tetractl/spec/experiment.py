@@ -139,7 +139,8 @@ def strength_unit(rates: tuple[float | PerStrength, ...]) -> str:
     units = {STRENGTH_UNITS[a.key] for a in rates if isinstance(a, PerStrength)} or {"mT"}
     if len(units) > 1:
         raise inconsistent(
-            "robots", "have an a per mT and an a per V/cm, but there is only one field"
+            "robots",
+            "have rates a per mT and rates a per V/cm, but one field steers all robots",
         )
     return units.pop()
 

@@ -260,7 +260,7 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
     fields = differences(first.experiment, second.experiment)
     if fields:
         raise UsageError(
-            f"{first.log} and {second.log} have different experiments: {listing(fields)}",
+            f"{first.log} and {second.log} are from different experiments: {listing(fields)}",
             "give logs from only one batch, and the other batch with --against",
             "give logs from only one batch, and the other batch with compare()",
         )

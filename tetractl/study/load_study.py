@@ -71,7 +71,9 @@ class Arm:
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
     """Compose the name of an arm and of its folder, such as `ours-dead_time=0.07`.
 
-    A field is named by the last part of its path if that is unique, otherwise by the whole path.
+    Fields are named by the last part of their paths, or all by their whole paths if two would have
+    the same name. Characters that a file name may not have become `_`, and the name is cut after
+    `NAME_LENGTH` characters. An arm without controller and values is `base`.
     """
     ends = [path.rpartition(".")[2] for path in values]
     unique = len(set(ends)) == len(ends)

@@ -477,7 +477,11 @@ NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
             "no column named robot, but .* robots a, b",
         ),
         (TWO_POSES.replace("robot", "body"), NO_NAME, "two different places at the time 0 s"),
-        (TWO_POSES, FOR_EACH.replace("0.7,b,", "0.7,b,1"), "b receives other directions than"),
+        (
+            TWO_POSES,
+            FOR_EACH.replace("0.7,b,", "0.7,b,1"),
+            "b does not receive the directions of",
+        ),
         (NEVER_SEEN, COMMANDS, "no robot was seen"),
         (ONE_POSES + ONE_POSES, NO_NAME, "line 10: the header occurs a second time"),
         (

@@ -675,9 +675,9 @@ def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
         _refuse_two_commands(path, robot, rows["time"], rows["direction"][:, None])
         if len(before) and not np.array_equal(before["direction"], rows["direction"]):
             raise UsageError(
-                f"{path}: {printable(robot)} receives other directions than the other robots",
-                "all robots in one table must receive the same directions: identify each robot "
-                "from its own tables",
+                f"{path}: {printable(robot)} does not receive the directions of the other robots",
+                "all robots in one table must receive the same directions; if they do not, call "
+                "identify once for each robot, with its tables alone",
             )
     ages = (rows["time"] - rows["observed"])[1:]
     ages = ages[np.isfinite(ages)]

@@ -46,7 +46,7 @@ def test_the_strength_of_an_electric_field_is_in_volts_per_centimetre():
         ("strength=0", "strength: 0: must be greater than 0"),
         (
             "robots.s.a={per_V_cm: 1}",
-            "robots: have an a per mT and an a per V/cm, but there is only one field",
+            "robots: have rates a per mT and rates a per V/cm, but one field steers all robots",
         ),
         ("robots.r.a=-1", "robots.0.a: -1: must be greater than 0"),
         ("robots.r.a={per_mT: 0}", "robots.0.a.per_mT: must be greater than 0"),

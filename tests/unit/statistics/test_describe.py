@@ -136,7 +136,7 @@ def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     trials[1] = replace(trials[1], experiment=exact_and_late)
     with pytest.raises(UsageError) as caught:
         group(trials)
-    assert "trial-000.mcap and trial-001.mcap have different experiments" in str(caught.value)
+    assert "trial-000.mcap and trial-001.mcap are from different experiments" in str(caught.value)
     assert "controller.motion: euler != exact" in str(caught.value)
     assert "plant.dead_time: 0.0 != 0.15" in str(caught.value)
     assert caught.value.hint

@@ -57,10 +57,10 @@ def encode_command(command: BroadcastCommand) -> bytes:
         )
     counts = [count for pair in command.wheels for count in pair]
     if any(len(pair) != 2 for pair in command.wheels):
-        raise WireError(f"each robot needs two wheel counts, unlike here: {command.wheels}")
+        raise WireError(f"each robot needs two wheel counts, but these are {command.wheels}")
     if any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(
-            f"wheel counts must be from -{COUNT_MAX} to {COUNT_MAX}, unlike here: {command.wheels}"
+            f"wheel counts must be from -{COUNT_MAX} to {COUNT_MAX}, but these are {command.wheels}"
         )
     head = bytes(
         [COMMAND, command.sequence, cobs.checked_flags(command.flags), len(command.wheels)]

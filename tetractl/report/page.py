@@ -122,9 +122,10 @@ def report(
 
 
 def player(logs: Sequence[TrialLog]) -> FramedPage:
-    """Create a page that plays recorded trials.
+    """Create a page that plays recorded trials, in their order.
 
-    More than MANY are shown without plans and searches.
+    If there are more than MANY, they are shown without plans and searches. The title names the
+    experiment and the origin of the first trial.
     """
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
     header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
@@ -235,7 +236,10 @@ def _batches(
 
 
 def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of the page's head: title, results, verdicts, and a figure of all errors."""
+    """Return the HTML of the page's head: title, results, verdicts, and a figure of all errors.
+
+    Verdicts are left out if there are more than COMPARED_MOST comparisons.
+    """
     groups = compared.groups
     about = escape(groups[0].experiment.description)
     top = [_overview(groups)]
@@ -249,7 +253,10 @@ def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -
 
 
 def _overview(groups: Sequence[BatchStatistics]) -> Table:
-    """Return a table with each batch's mean total error and the numbers of its unsafe trials."""
+    """Return a table with one row per batch: mean total error, and the numbers of unsafe trials.
+
+    An interval that is unknown is shown as NONE.
+    """
     totals = [group.total for group in groups]
     means = [total.mean for total in totals]
     least = min((total.mean for total in totals if total.n), default=math.nan)
@@ -297,7 +304,10 @@ def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
 
 
 def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of the tables of statistics, and the same data as JSON."""
+    """Return the HTML of the tables of statistics, and the same data as JSON.
+
+    `numbers` maps a trial's log to its number in the player, to which its row links.
+    """
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
     parts: list[str] = []
     for group in compared.groups:

@@ -96,7 +96,10 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _robots(log: TrialLog) -> list[dict[str, Any]]:
-    """Return each robot as data: name, colour, first measured position, target, and via points."""
+    """Return each robot as data: name, colour, first measured position, target, and via points.
+
+    A robot that was never seen gets its start in the spec.
+    """
     setup = log.start.setup
     colors = robot_colors(setup.names, setup.colors)
     starts = first_seen(log.positions, setup.starts.xy).tolist()

@@ -55,7 +55,8 @@ LEAST_WAY = 1e-9
 def measured(times: Floats, poses: Floats) -> Bools:
     """Find which poses (M, 3) of a robot at `times` (M,) [s] are real measurements.
 
-    Repeated poses and jumps are not. The result has shape (M,).
+    Poses that repeat before the robot is suddenly far away are not, and neither are series of poses
+    that jump away and back. The result has shape (M,).
     """
     if not len(times):
         return np.zeros(0, dtype=np.bool_)

@@ -130,7 +130,10 @@ def arranged(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[list[
 
 
 def drawn(size: tuple[float, float], page: Sequence[Placed]) -> "Figure":
-    """Return a page of a size [mm] with its tags, labels and ruler, as vectors."""
+    """Return a page of a size (width, height) [mm] with its tags, labels and ruler, as vectors.
+
+    Positions on the page are counted from its lower left corner [mm].
+    """
     from matplotlib.figure import Figure
 
     width, height = size

@@ -184,7 +184,10 @@ def _within(low: float, high: float) -> Decide:
 
 
 def _holds(published: float) -> Decide:
-    """Create a decision: AGREES if our interval contains a published number, otherwise MISSED."""
+    """Create a decision: AGREES if our interval contains a published number, otherwise MISSED.
+
+    The ends belong to the interval.
+    """
     return lambda ours: Fate.AGREES if ours.low <= published <= ours.high else Fate.MISSED
 
 

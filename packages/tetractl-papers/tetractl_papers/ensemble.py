@@ -142,7 +142,10 @@ class Ensemble(PlainController):
         return self._planned(problem, signals, end, step_key)
 
     def _rotate(self, problem: Problem) -> None:
-        """Rotate the field by one step. If it was off, start at the robots' mean heading."""
+        """Rotate the field anticlockwise by one step. If it was off, start at the mean heading.
+
+        The direction stays within -pi to pi.
+        """
         if self._field is None:
             heading = problem.poses.heading
             east = elementwise.cos(heading).sum()

@@ -36,7 +36,10 @@ class TracksCells(Protocol):
         ...
 
     def candidates(self) -> list[RobotCandidate]:
-        """Return the cells in the newest image whose identity is certain."""
+        """Return the cells in the newest image whose identity is certain, also those of robots.
+
+        The list is empty if there are none.
+        """
         ...
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:

@@ -103,7 +103,8 @@ class Span:
 def _shared_s(poses: Span, commands: Span) -> float:
     """Compute for how long both time spans overlap [s].
 
-    If there is a gap between them, the result is the gap's length with a negative sign."""
+    If there is a gap between them, the result is the gap's length with a negative sign.
+    """
     return min(poses.end, commands.end) - max(poses.begin, commands.begin)
 
 

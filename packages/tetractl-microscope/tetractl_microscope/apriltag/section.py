@@ -112,7 +112,8 @@ class AprilTagSection(PictureSection):
 def _flat(points: Sequence[Point]) -> bool:
     """Decide whether points lie nearly on one line.
 
-    Two different points always do."""
+    Two different points always do.
+    """
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

@@ -176,7 +176,8 @@ class FieldActuator:
     def check(self) -> Health:
         """Switch the field off, and check the driver; see `inspect`.
 
-        If the driver's port has failed, this is the only problem."""
+        If the driver's port has failed, this is the only problem.
+        """
         try:
             reply = self.driver.ask()
         except AbortError as error:

@@ -169,7 +169,8 @@ class MicroManagerFeed(Feed):
     def _grey(self, pixels: np.ndarray) -> np.ndarray:
         """Convert pixels to 8-bit grey levels.
 
-        Grey pixels keep their upper bits. Pixels of 4 bytes become the mean of the first three."""
+        Grey pixels keep their upper bits. Pixels of 4 bytes become the mean of the first three.
+        """
         if pixels.dtype.itemsize < 4:
             return np.minimum(pixels >> self._shift, 255).astype(np.uint8)
         colours = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)

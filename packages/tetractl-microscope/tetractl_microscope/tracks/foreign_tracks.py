@@ -439,7 +439,8 @@ def _graph(path: Path) -> SpotTable:
 def _problem_of(error: Exception) -> str:
     """Describe an error of a library in one line of at most ERROR_CHARACTERS_MAX characters.
 
-    If it is an error of pydantic, only its first problem is described."""
+    If it is an error of pydantic, only its first problem is described.
+    """
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):
         first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]

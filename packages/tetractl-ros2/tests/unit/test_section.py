@@ -1,5 +1,7 @@
 """Tests that wrong fields of a ROS 2 lab in a spec are refused."""
 
+import re
+
 import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
@@ -59,3 +61,19 @@ def test_what_cannot_be_is_refused(old, new, what):
 )  # fmt: skip
 def test_what_other_labs_have_is_accepted(old, new):
     spec(old, new)
+
+
+@pytest.mark.parametrize("names", [("green", "blue", "red"), ("red", "green", "blue")])
+def test_each_robot_has_the_topic_of_its_body_in_whatever_order_they_are_listed(names):
+    listed = "\n".join(f"      - {{name: {name}, body: {name[0].upper()}}}" for name in names)
+    text = TEMPLATE.replace("message: TFMessage ", "message: PoseStamped ")
+    text = text.replace("topic: /tf ", "topic: /{body}/pose ")
+    text = re.sub(r"(      - \{name: \w+, body: \w+\}\n?)+", listed + "\n", text)
+    experiment = parse_spec(text, "graph.yaml").experiment
+    expected = tuple(f"/{name[0].upper()}/pose" for name in experiment.setup.names)
+    assert experiment.lab.camera.topics(experiment.setup) == expected
+
+
+def test_all_robots_have_one_topic_if_its_name_contains_no_body():
+    experiment = spec()
+    assert experiment.lab.camera.topics(experiment.setup) == ("/tf",)

@@ -19,7 +19,8 @@ COMMITTED = EXPERIMENTS / "experiment.schema.json"
 
 @pytest.fixture
 def packages():
-    """What is committed is of all packages."""
+    """What is committed is of all packages, and of no kind that a test of this process brought."""
+    schema_of.cache_clear()
     for name in (
         "tetractl_emulator",
         "tetractl_learn",

@@ -80,7 +80,7 @@ ON_CORES := -n auto
 ON_CORES_WAITING = -n $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
 
 test: $(STAMP)
-	@echo "Collecting tests, which prints nothing at first; with them, about 3 minutes on two cores"
+	@echo "Collecting tests, which prints nothing at first; with them, about 4 minutes on two cores"
 	$(BIN)/python $(PYTEST) $(ON_CORES) -m "not long and not system"
 
 # What needs neither other processes nor much time: for work on the code.

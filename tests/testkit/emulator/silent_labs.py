@@ -9,7 +9,7 @@ from tetractl.spec.plants import on_plant
 from tetractl.statistics.flagged import Flagged, flagged
 
 SEED = 71_930_412
-TRIALS = 4
+TRIALS = 8
 MET = "has met another cell"
 """A warning of what does happen: cells of a dish swim into one another."""
 

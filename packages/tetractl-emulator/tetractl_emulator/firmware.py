@@ -115,7 +115,7 @@ def _build(codes: list[Path], path: Path) -> None:
     name = compiler()
     if name is None:
         raise TetractlError(
-            "no C compiler was found, which emulated devices need for the firmware that they run",
+            "no C compiler was found; emulated devices need one to build their firmware",
             hint="install gcc or clang, or set the environment variable CC to your compiler",
         )
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -238,13 +238,11 @@ def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -
         if len(branches) == 0:
             break
         tree.keep(branches)
-        distance_left = distances_left[-1, branches].sum(
-            axis=1
-        )  # of all robots together, at each node
-        if distance_left[0] < least_left:
-            least_left = float(distance_left[0])
+        sums_left = distances_left[-1, branches].sum(axis=1)  # over the robots, at each node
+        if sums_left[0] < least_left:
+            least_left = float(sums_left[0])
             nearest_level = level
-        number_near = int((distance_left[:STARTS_OF_LEVEL] < near).sum())
+        number_near = int((sums_left[:STARTS_OF_LEVEL] < near).sum())
         for node in range(min(number_near, STARTS_IN_ALL - yielded)):
             yield tree.sequence(node)
             yielded += 1

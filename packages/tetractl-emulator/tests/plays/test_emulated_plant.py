@@ -100,7 +100,7 @@ def test_what_cannot_be_emulated_is_one_line(tmp_path):
         with mock.patch.object(firmware, "cache_folder", lambda: tmp_path):
             done = run(tmp_path, "out", *SMALL)
     assert done.returncode == 1
-    assert "error: no C compiler was found, which emulated devices need" in done.stderr
+    assert "error: no C compiler was found; emulated devices need one" in done.stderr
     lacking = mock.Mock(
         side_effect=ModuleNotFoundError(
             "No module named 'tetractl_microscope'", name="tetractl_microscope"

@@ -11,11 +11,16 @@ from tetractl.cli import rerun as module
 from tetractl.cli.rerun import _compare, _on_plant, _tell_errors
 from tetractl.core.errors import Exit
 from tetractl.core.plan import Outcome
+from tetractl.log.read import reader, salvage
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant
+from tetractl.verification import log_comparison, verify
 
 LAB = load_spec(ROOT / "experiments/three_m3pi_lab.yaml")
 IN_LAB = on_plant(LAB, "lab")
+
+# `reader`, `salvage`, `log_comparison` and `verify` are imported before a test replaces their
+# functions: a module that is first imported in such a test would keep what replaces them.
 
 
 def test_the_trial_of_a_lab_is_simulated_unless_robots_are_to_move():
@@ -57,12 +62,13 @@ def compared(monkeypatch, capsys):
     def compare(first, second, plants=SIMULATED, outcome=Outcome.ARRIVED, lines=()):
         of_trial, again = plants
         result = SimpleNamespace(experiment=SimpleNamespace(plant=again), outcome=outcome)
-        monkeypatch.setattr("tetractl.log.read.reader.result_of", lambda log: result)
+        monkeypatch.setattr(reader, "result_of", lambda log: result)
         monkeypatch.setattr(
-            "tetractl.verification.log_comparison.log_differences",
+            log_comparison,
+            "log_differences",
             lambda one, other: iter(["step 3 differs", "step 4 differs"]),
         )
-        monkeypatch.setattr("tetractl.verification.verify.host_differences", lambda log: lines)
+        monkeypatch.setattr(verify, "host_differences", lambda log: lines)
         trial = SimpleNamespace(experiment=SimpleNamespace(plant=of_trial))
         code = _compare(first, trial, second)
         return code, capsys.readouterr().err.splitlines()
@@ -126,7 +132,8 @@ def test_trials_that_cannot_repeat_are_not_compared(compared, plants, says):
 def test_of_another_spec_only_the_errors_are_told(monkeypatch, capsys):
     errors = {"a.mcap": 12.345, "b.mcap": 6.789}
     monkeypatch.setattr(
-        "tetractl.log.read.reader.result_of",
+        reader,
+        "result_of",
         lambda log: SimpleNamespace(result=SimpleNamespace(total_error=errors[log.path])),
     )
     _tell_errors(raw(), raw(path="b.mcap"))
@@ -146,8 +153,8 @@ def rerun(monkeypatch):
             experiment=LAB.experiment,
         )
         monkeypatch.setattr(module, "find_log", lambda log: log)
-        monkeypatch.setattr("tetractl.log.read.salvage.scan", lambda path: path)
-        monkeypatch.setattr("tetractl.log.read.reader.trial_of", lambda raw: trial)
+        monkeypatch.setattr(salvage, "scan", lambda path: path)
+        monkeypatch.setattr(reader, "trial_of", lambda raw: trial)
 
         def run_command(spec, how, only):
             done.spec, done.how, done.only = spec, how, only

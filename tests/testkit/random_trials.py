@@ -16,6 +16,8 @@ from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start, Step, Verdict
 from tetractl.log import provenance
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import LoadedSpec, start_of
@@ -26,6 +28,9 @@ OBSTACLES = [
     {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200},
     {"type": "circle", "center": [700, 1900], "radius": 50.5},
 ]
+
+SMALL = {"robots": 2, "frames": 2, "first": 1, "iterations": 2, "length": 3}
+"""Arguments of `trial` for control steps with few numbers."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +163,11 @@ def write(random_trial: RandomTrial, path: Path, environment: str = "{}\n") -> P
         random_trial.give_rounds(writer)
         writer.on_stop(random_trial.stop, random_trial.result)
     return path
+
+
+def write_and_read(random_trial: RandomTrial, path: Path) -> TrialLog:
+    """Write a made-up trial and read its log."""
+    return read_trial(write(random_trial, path))
 
 
 def _poses(rng: np.random.Generator, robots: int) -> Poses:

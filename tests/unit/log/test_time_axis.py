@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from testkit.random_trials import trial, write
+from testkit.random_trials import trial, write_and_read
 from testkit.trials import three_robots
 
 from tetractl.core.trial import Note
@@ -69,7 +69,7 @@ def test_notes_come_back_as_they_were(tmp_path):
 
 def test_undelivered_commands_and_lost_robots_are_notes(tmp_path):
     random_trial = trial(steps=4, simulated=False)
-    texts = [note.text for note in read_trial(write(random_trial, tmp_path / "trial.mcap")).notes]
+    texts = [note.text for note in write_and_read(random_trial, tmp_path / "trial.mcap").notes]
     lost = sum(np.count_nonzero(~np.array(step.command.delivered)) for step in random_trial.steps)
     assert sum("did not get the command" in text for text in texts) == lost > 0
     assert any(text.endswith("is lost") for text in texts)

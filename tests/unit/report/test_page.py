@@ -9,6 +9,7 @@ from testkit import random_trials
 from testkit.batches import batch, experiment, group
 from testkit.batches import result as made_result
 from testkit.batches import trial as made_trial
+from testkit.random_trials import SMALL
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
@@ -24,8 +25,6 @@ from tetractl.report.page import (
     total_errors,
 )
 
-SMALL = {"steps": 3, "robots": 2, "frames": 2, "first": 1, "iterations": 2, "length": 3}
-
 
 @pytest.fixture
 def without_drawing(monkeypatch):
@@ -39,7 +38,7 @@ def without_drawing(monkeypatch):
 def logs_in(folder, count, name="made-up", **fields):
     folder.mkdir(parents=True)
     for index in range(count):
-        made = random_trials.trial(index, index=index, name=name, **SMALL | fields)
+        made = random_trials.trial(index, steps=3, index=index, name=name, **SMALL | fields)
         random_trials.write(made, folder / f"trial-{index:03d}.mcap")
     return folder
 

@@ -56,7 +56,7 @@ def unpacked(text):
 def log(tmp_path):
     """Of four control steps."""
     trial = random_trials.trial(3, steps=4)
-    return read_trial(random_trials.write(trial, tmp_path / "t.mcap"))
+    return random_trials.write_and_read(trial, tmp_path / "t.mcap")
 
 
 def arena_size(log):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from testkit.random_trials import trial, write
+from testkit.random_trials import SMALL, trial, write_and_read
 
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds
-from tetractl.log.read.reader import read_trial
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.report.trial_data import rounded, trial_data
 from tetractl.view.player import end_ns
@@ -19,8 +18,8 @@ from tetractl.view.player import end_ns
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """A simulated log of six control steps with a frame every 8.3 ms."""
-    made = trial(steps=6, robots=2, frames=24, first=1, iterations=2, length=3)
-    return read_trial(write(made, tmp_path_factory.mktemp("log") / "t.mcap"))
+    made = trial(steps=6, **SMALL | {"frames": 24})
+    return write_and_read(made, tmp_path_factory.mktemp("log") / "t.mcap")
 
 
 @given(st.lists(st.floats(-1e4, 1e4) | st.sampled_from([np.nan, np.inf, -np.inf]), max_size=6))

@@ -15,7 +15,6 @@ from tetractl.core.motion_estimate import LAG_ERROR_S
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Verdict
-from tetractl.log.read.reader import read_trial
 from tetractl.statistics import built_in_statistics as built_in
 from tetractl.statistics.built_in_statistics import SETTLING_S, discs
 
@@ -246,7 +245,7 @@ def test_the_time_within_the_radius_is_known_only_of_trials_that_ran_to_their_en
 def made_up(tmp_path_factory):
     """The log of 50 made-up control steps of three robots."""
     steps = random_trials.trial(steps=50, frames=1, first=1, iterations=1, length=2)
-    return read_trial(random_trials.write(steps, tmp_path_factory.mktemp("log") / "trial.mcap"))
+    return random_trials.write_and_read(steps, tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 def held_log(log, since_s, truth=True):

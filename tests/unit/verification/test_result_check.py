@@ -17,7 +17,6 @@ from tetractl.core.poses import Poses
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.core.trial import EMULATED_DEVICES, HALTS, PlantInfo
 from tetractl.log.provenance import CODE
-from tetractl.log.read.reader import read_trial
 from tetractl.run.task import code_of
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant
@@ -129,7 +128,7 @@ def test_a_lab_without_frames_has_no_places_to_compare(lab):
 def lab_across_a_wall(tmp_path):
     """A lab in which robot 1 of three drives through a wall, and the other two stand far off."""
     trial = random_trials.trial(simulated=False)
-    log = read_trial(random_trials.write(trial, tmp_path / "wall.mcap"))
+    log = random_trials.write_and_read(trial, tmp_path / "wall.mcap")
     n = len(log.frames)
     mocap = np.zeros((n, 3, 3))
     mocap[..., 0], mocap[..., 1] = 700.0, 400.0
@@ -192,7 +191,7 @@ def driven_by_wheels(rng):
 def wheeled_lab(tmp_path_factory):
     """A log of a lab in which three robots on wheels drove for 3 s, written by this code."""
     trial = random_trials.trial(simulated=False, wheels={"radius": RADIUS})
-    log = read_trial(random_trials.write(trial, tmp_path_factory.mktemp("log") / "trial.mcap"))
+    log = random_trials.write_and_read(trial, tmp_path_factory.mktemp("log") / "trial.mcap")
     spec = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
     left, right, poses = driven_by_wheels(np.random.default_rng(81733))
     n = len(poses)

@@ -326,7 +326,7 @@ def fields_that_differ(log, result):
 def test_a_wall_that_a_path_logged_in_the_lab_crosses_was_entered(tmp_path):
     lab_trial = random_trials.trial(simulated=False)
     clear = replace(lab_trial.result.verdict, entered=(False,) * 3, clearance=(0.0,) * 3)
-    log = read_trial(random_trials.write(lab_trial, tmp_path / "trial.mcap"))
+    log = random_trials.write_and_read(lab_trial, tmp_path / "trial.mcap")
     fields = fields_that_differ(log, replace(log.result, verdict=clear))
     assert any(field.startswith("result.entered") for field in fields)
 

@@ -13,7 +13,6 @@ from testkit.trials import cut_short, three_robots
 from tetractl.core.commands import Stop
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.setup import Bounds
-from tetractl.log.read.reader import read_trial
 from tetractl.view.player import Recording
 from tetractl.view.video import (
     HOLD_S,
@@ -107,8 +106,8 @@ def test_a_video_that_fails_leaves_no_file(tmp_path, log, monkeypatch):
 
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
-    made = random_trials.trial(steps=6, robots=2, frames=2, first=1, iterations=2, length=3)
-    return read_trial(random_trials.write(made, tmp_path_factory.mktemp("log") / "t.mcap"))
+    made = random_trials.trial(steps=6, **random_trials.SMALL)
+    return random_trials.write_and_read(made, tmp_path_factory.mktemp("log") / "t.mcap")
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 from mcap.records import Attachment
 from testkit.mutate import rewrite, rewritten, stating
-from testkit.random_trials import trial, write
+from testkit.random_trials import SMALL, trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.log.format import channels
@@ -13,12 +13,10 @@ from tetractl.log.read import raw_log
 from tetractl.log.read.raw_log import RawLog, read_file, writer
 from tetractl.log.read.salvage import scan
 
-SMALL = {"steps": 3, "robots": 2, "frames": 2, "first": 1, "iterations": 2, "length": 3}
-
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    return write(trial(**SMALL), tmp_path_factory.mktemp("log") / "trial.mcap")
+    return write(trial(steps=3, **SMALL), tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 @pytest.fixture(scope="module")

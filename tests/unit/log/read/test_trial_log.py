@@ -8,7 +8,6 @@ from testkit import random_trials
 from testkit.trials import three_robots
 
 from tetractl.core.trial import Note
-from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import frame_gaps, step_gaps
 
 pytestmark = pytest.mark.slow
@@ -65,7 +64,7 @@ MADE_UP = random_trials.trial(steps=6, robots=2, frames=2, first=1, iterations=1
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
     """A log of six control steps at 5 Hz."""
-    return read_trial(random_trials.write(MADE_UP, tmp_path_factory.mktemp("log") / "t.mcap"))
+    return random_trials.write_and_read(MADE_UP, tmp_path_factory.mktemp("log") / "t.mcap")
 
 
 def sent_later(log, by_ns):

@@ -2,7 +2,7 @@
 
 import pytest
 from mcap.reader import make_reader
-from testkit.random_trials import trial, write
+from testkit.random_trials import trial, write, write_and_read
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import LogError
@@ -35,7 +35,7 @@ def test_a_long_environment_keeps_no_reader_from_a_log_that_is_cut_off(tmp_path)
         file.truncate(30_000)
     log = read_trial(path)
     assert log.damage is not None
-    assert log.start == read_trial(write(trial(steps=1), tmp_path / "other.mcap")).start
+    assert log.start == write_and_read(trial(steps=1), tmp_path / "other.mcap").start
 
 
 def test_no_robot_moves_before_the_start_is_on_the_disk(tmp_path, monkeypatch):

@@ -9,7 +9,6 @@ from testkit import random_trials
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
-from tetractl.log.read.reader import read_trial
 from tetractl.view import style
 from tetractl.view.figures.convergence import convergence_figure
 from tetractl.view.figures.curves import end_s, robot_curves
@@ -23,7 +22,7 @@ pytestmark = pytest.mark.slow
 def log(tmp_path_factory):
     """A log of six control steps, a frame each 0.1 s."""
     made = random_trials.trial(steps=6, robots=2, frames=2, first=3, iterations=4, length=5)
-    return read_trial(random_trials.write(made, tmp_path_factory.mktemp("log") / "t.mcap"))
+    return random_trials.write_and_read(made, tmp_path_factory.mktemp("log") / "t.mcap")
 
 
 def distances(log, row):

@@ -8,13 +8,12 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 from testkit.hand_clock import HandClock
-from testkit.random_trials import trial, write
+from testkit.random_trials import SMALL, trial, write_and_read
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.plan import State
 from tetractl.core.trial import Note
-from tetractl.log.read.reader import read_trial
 from tetractl.view.player import Player, Recording
 from tetractl.view.terminal import replay_screen
 from tetractl.view.terminal.replay_screen import (
@@ -31,9 +30,9 @@ from tetractl.view.terminal.replay_screen import (
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """A log of six control steps, one each 0.2 s, without messages."""
-    made = trial(steps=6, robots=2, frames=2, first=1, iterations=2, length=3)
-    path = write(made, tmp_path_factory.mktemp("log") / "t.mcap")
-    return replace(read_trial(path), notes=())
+    made = trial(steps=6, **SMALL)
+    log = write_and_read(made, tmp_path_factory.mktemp("log") / "t.mcap")
+    return replace(log, notes=())
 
 
 @pytest.fixture

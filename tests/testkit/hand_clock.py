@@ -1,4 +1,4 @@
-"""A clock that a test advances by hand, as a wall clock or a timer."""
+"""Clocks that a test advances by hand, as a wall clock or a timer."""
 
 from tetractl.core.clock import SECOND, VirtualClock
 
@@ -12,3 +12,13 @@ class HandClock(VirtualClock):
 
     def advance_ns(self, by_ns):
         self.sleep_until(self.now() + by_ns)
+
+
+class HandTimer:
+    """Stands for a timer in seconds, such as `time.monotonic`: it shows `now_s` when called."""
+
+    def __init__(self, now_s=0.0):
+        self.now_s = now_s
+
+    def __call__(self):
+        return self.now_s

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from testkit import random_trials
-from testkit.trials import three_robots
+from testkit.trials import in_lab, three_robots
 
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State
@@ -134,9 +134,7 @@ def test_the_page_may_leave_out_plans(log):
 
 
 def test_the_result_of_a_lab_is_said_to_be_measured():
-    log = three_robots()
-    lab = replace(log.start, plant=replace(log.start.plant, simulated=False))
-    assert trial_data(replace(log, start=lab), "t")["final"]["known"] == "measured"
+    assert trial_data(in_lab(three_robots()), "t")["final"]["known"] == "measured"
 
 
 def test_what_is_not_finite_is_missing():

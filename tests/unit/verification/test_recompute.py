@@ -6,7 +6,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from testkit.trials import DISTURBED, FRAMES, THREE_M3PI, cut_short
+from testkit.hand_clock import HandTimer
+from testkit.trials import DISTURBED, FRAMES, THREE_M3PI, cut_short, in_lab
 
 from tetractl.core.loggable import DRAWN_PRECISION
 from tetractl.core.plan import Limits, Outcome, StopReason
@@ -211,18 +212,8 @@ def test_there_are_no_more_searches_than_the_log_has_and_given_signals_are_none(
 # ---- The limit of time ----
 
 
-class Hand:
-    """A clock of processor time that a test sets."""
-
-    def __init__(self):
-        self.now_s = 100.0
-
-    def __call__(self):
-        return self.now_s
-
-
 def test_the_limit_counts_from_the_start_and_is_not_yet_over_when_it_is_reached():
-    cpu = Hand()
+    cpu = HandTimer(100.0)
     searches = StepSearches(False, cpu)
     cpu.now_s += seconds_limit()
     assert not searches.expired()
@@ -235,7 +226,7 @@ def test_the_limit_counts_from_the_start_and_is_not_yet_over_when_it_is_reached(
 
 def test_compiling_before_the_first_repeated_search_takes_none_of_the_time(request_and_search):
     request, search = request_and_search
-    cpu = Hand()
+    cpu = HandTimer(100.0)
     searches = StepSearches(True, cpu)
     cpu.now_s += 10 * seconds_limit()
     assert not searches.expired()
@@ -371,10 +362,6 @@ def test_a_log_that_was_cut_short_has_no_end_to_check():
 def ended(log=WHOLE, **fields):
     """The difference of the outcome if the result of the log states these fields."""
     return recompute(replace(log, result=replace(log.result, **fields)), False).difference
-
-
-def in_lab(log):
-    return replace(log, start=replace(log.start, plant=replace(log.start.plant, simulated=False)))
 
 
 @pytest.mark.parametrize("outcome", [one for one in Outcome if one != WHOLE.result.outcome])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from testkit.hand_clock import HandClock
-from testkit.trials import three_robots
+from testkit.trials import in_lab, three_robots
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Poses
@@ -163,10 +163,6 @@ def test_the_end_shows_the_poses_and_errors_of_the_result(recording):
 
 
 # ---- When a trial ends for its viewers ----
-
-
-def in_lab(log):
-    return replace(log, start=replace(log.start, plant=replace(log.start.plant, simulated=False)))
 
 
 def test_a_simulation_ends_with_its_stop_and_not_with_its_last_frame():

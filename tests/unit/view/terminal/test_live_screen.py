@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
+from testkit.hand_clock import HandTimer
 from testkit.terminal import console as terminal
 from testkit.trials import run_three_robots, three_robots
 
@@ -24,17 +25,11 @@ from tetractl.view.terminal.progress import BatchProgress, StudyProgress, durati
 pytestmark = pytest.mark.slow
 
 
-class Wall(Observer):
+class Wall(HandTimer, Observer):
     """A wall clock that the test moves on; as an observer of a trial, by 0.2 s a control step."""
 
-    def __init__(self):
-        self.time_s = 0.0
-
-    def __call__(self):
-        return self.time_s
-
     def on_step(self, step):
-        self.time_s += 0.2
+        self.now_s += 0.2
 
 
 def plain(width=40):
@@ -101,13 +96,13 @@ def test_the_live_view_counts_from_the_first_direction_and_shows_notes():
     while_placed = replace(first.observation, sampled_ns=19 * SECOND)
     with LiveView(console, wall=wall) as view:
         view.on_start(log.start)
-        wall.time_s = 1.0  # each later call comes when the next picture is due
+        wall.now_s = 1.0  # each later call comes when the next picture is due
         view.on_samples([Sample(while_placed, None)])
-        wall.time_s = 2.0
+        wall.now_s = 2.0
         view.on_step(first)
-        wall.time_s = 3.0
+        wall.now_s = 3.0
         view.on_step(second)
-        wall.time_s = 4.0
+        wall.now_s = 4.0
         view.on_note(Note(20_500_000_000, "warning", "red turns the wrong way"))
     seen_pictures = pictures(console)
     times = re.findall(r"time +([0-9.]+) s", "\n".join(seen_pictures))

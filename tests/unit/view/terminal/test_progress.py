@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from testkit.batches import result
+from testkit.hand_clock import HandTimer
 
 from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
@@ -128,16 +129,8 @@ def test_failures_are_printed_even_if_a_study_is_quiet_and_nothing_else_is():
     assert [lines for lines in printed if lines] == [["failed: a=3/4: the camera is off"]]
 
 
-class Clock:
-    def __init__(self):
-        self.now_s = 50.0
-
-    def __call__(self):
-        return self.now_s
-
-
 def test_a_script_prints_at_most_every_ten_seconds(capsys):
-    clock = Clock()
+    clock = HandTimer(50.0)
     progress = ScriptProgress(5, clock)
     printed = []
     for after_s in (PAUSE_S - 0.1, 0.1, PAUSE_S - 0.1, 0.1):
@@ -161,7 +154,7 @@ class Output:
 
 
 def test_a_notebooks_bar_changes_now_and_then_and_at_the_end():
-    clock = Clock()
+    clock = HandTimer(50.0)
     output = Output()
     progress = NotebookProgress(4, lambda shown, display_id: output, clock)
     updates = []
@@ -174,7 +167,7 @@ def test_a_notebooks_bar_changes_now_and_then_and_at_the_end():
 
 
 def test_a_notebooks_bar_says_how_many_have_ended_and_what_is_left():
-    progress = NotebookProgress(4, lambda shown, display_id: Output(), Clock())
+    progress = NotebookProgress(4, lambda shown, display_id: Output(), HandTimer(50.0))
     assert repr(progress) == "0 of 4 trials"
     progress.trial_ended(ending(left_s=8.0))
     assert repr(progress) == "1 of 4 trials; 8 s left"

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 from testkit.hand_clock import HandClock
 from testkit.random_trials import SMALL, trial, write_and_read
+from testkit.trials import in_lab
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
@@ -128,9 +129,7 @@ def test_a_log_without_a_result_has_no_line_of_one(recording, capsys):
 def test_the_result_has_the_true_or_the_measured_error(recording):
     error = recording.log.result.total_error
     assert result_line(recording).endswith(f"final total error {error:.1f} mm true")
-    start = recording.log.start
-    lab = replace(start, plant=replace(start.plant, simulated=False))
-    measured = Recording(replace(recording.log, start=lab))
+    measured = Recording(in_lab(recording.log))
     assert result_line(measured).endswith("mm measured")
 
 

@@ -431,15 +431,12 @@ def test_after_an_overrun_the_steps_keep_their_distance(slow):
 
 # ---- When steps are due ----
 
-PERIOD_S = 0.2
-PERIOD_NS = SECOND // 5
-
 
 def paced():
     """A pacing that started at 3 s, and its clock."""
     clock = VirtualClock()
     clock.sleep_until(3 * SECOND)
-    pacing = StepPacing(clock, PERIOD_S)
+    pacing = StepPacing(clock, PERIOD / SECOND)
     pacing.start()
     return pacing, clock
 
@@ -447,28 +444,28 @@ def paced():
 @pytest.mark.parametrize(
     ("late_ns", "next_ns"),
     [
-        (0, PERIOD_NS),
-        (PERIOD_NS - 1, PERIOD_NS),  # it hurries to make up for it
-        (PERIOD_NS, 2 * PERIOD_NS),  # it cannot any more
-        (3 * PERIOD_NS, 4 * PERIOD_NS),
+        (0, PERIOD),
+        (PERIOD - 1, PERIOD),  # it hurries to make up for it
+        (PERIOD, 2 * PERIOD),  # it cannot any more
+        (3 * PERIOD, 4 * PERIOD),
     ],
 )
 def test_a_step_that_is_late_by_a_period_shifts_all_later_ones(late_ns, next_ns):
     pacing, clock = paced()
     clock.sleep_until(3 * SECOND + late_ns)
     assert pacing.finish(0, pauses=False) == 3 * SECOND + next_ns
-    shift_ns = next_ns - PERIOD_NS
+    shift_ns = next_ns - PERIOD
     clock.sleep_until(3 * SECOND + next_ns)
-    assert pacing.finish(1, pauses=False) == 3 * SECOND + 2 * PERIOD_NS + shift_ns
+    assert pacing.finish(1, pauses=False) == 3 * SECOND + 2 * PERIOD + shift_ns
 
 
 def test_a_pause_and_a_delay_shift_all_later_steps():
     pacing, _ = paced()
     pause_ns = round(PAUSE_S * SECOND)
-    assert pacing.finish(0, pauses=True) == 3 * SECOND + PERIOD_NS + pause_ns
-    assert pacing.finish(1, pauses=False) == 3 * SECOND + 2 * PERIOD_NS + pause_ns
+    assert pacing.finish(0, pauses=True) == 3 * SECOND + PERIOD + pause_ns
+    assert pacing.finish(1, pauses=False) == 3 * SECOND + 2 * PERIOD + pause_ns
     pacing.delay(7)
-    assert pacing.finish(2, pauses=False) == 3 * SECOND + 3 * PERIOD_NS + pause_ns + 7
+    assert pacing.finish(2, pauses=False) == 3 * SECOND + 3 * PERIOD + pause_ns + 7
 
 
 def test_the_times_of_steps_do_not_drift_by_rounding():

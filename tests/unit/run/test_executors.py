@@ -139,7 +139,6 @@ def run_in_processes(workers, interrupt=None, on_start=lambda task, executor: No
 
     def start_task(task):
         on_start(task, executor)
-        return
 
     return [(task.trial, ended) for task, ended in executor.run(TASKS, start_task)]
 
@@ -277,22 +276,17 @@ def test_calls_are_answered_in_this_process_for_one_job_or_one_item(monkeypatch)
 
 
 def test_calls_of_several_jobs_go_to_a_pool_of_at_most_as_many_workers_as_items(monkeypatch):
-    sizes = []
-
     class Inline(Pool):
-        def __call__(self, context, workers, *_):
-            sizes.append(workers)
-            return self
-
         def submit(self, call, item):
             future = Future()
             future.set_result(call(item))
             return future
 
-    monkeypatch.setattr(executors, "WorkerPool", Inline())
+    pool = Inline()
+    monkeypatch.setattr(executors, "WorkerPool", pool)
     for items, jobs in (([3, 1], 2), ([3, 1, 2], 2), ([3, 1], 8)):
         assert sorted(called(lambda x: 2 * x, items, jobs, print)) == sorted(2 * x for x in items)
-    assert sizes == [2, 2, 2]
+    assert pool.sizes == [2, 2, 2]
 
 
 # ---- A worker ----

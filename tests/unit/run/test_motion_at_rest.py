@@ -80,23 +80,26 @@ def test_robots_that_stand_hardly_ever_seem_to_move_by_noise():
     )
 
 
+def moved(frame, x, y=0.0):
+    """The frame with its robots moved by x and y [mm], each a number for every robot."""
+    poses = replace(frame.poses, x=frame.poses.x + x, y=frame.poses.y + y)
+    return replace(frame, poses=poses)
+
+
+def with_green_moved(shown, numbers, by_mm):
+    """The frames, of which some show the first robot farther along x."""
+    by = np.array([by_mm, 0, 0])
+    return [moved(frame, by) if k in numbers else frame for k, frame in enumerate(shown)]
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.5, 2.0, 4.0])
 def test_the_speed_of_a_robot_is_the_same_in_every_direction(angle):
     """Without noise, half a window lies between the means of its halves."""
-    speed = 20.0
+    speeds = np.array([0.0, 20.0, 40.0])
+    vx, vy = speeds * np.cos(angle), speeds * np.sin(angle)
     still = frames(0.0, noise_mm=0.0)
-    moving = [
-        replace(
-            frame,
-            poses=Poses(
-                frame.poses.x + speed * frame.seconds * np.cos(angle) * np.array([0, 1, 2]),
-                frame.poses.y + speed * frame.seconds * np.sin(angle) * np.array([0, 1, 2]),
-                frame.poses.heading,
-            ),
-        )
-        for frame in still
-    ]
-    assert speeds_at_rest(moving) == pytest.approx([0.0, speed, 2 * speed])
+    moving = [moved(frame, vx * frame.seconds, vy * frame.seconds) for frame in still]
+    assert speeds_at_rest(moving) == pytest.approx(speeds)
 
 
 def test_only_the_end_of_the_frames_counts_and_only_frames_that_show_all_robots():
@@ -104,27 +107,13 @@ def test_only_the_end_of_the_frames_counts_and_only_frames_that_show_all_robots(
     seen = np.array([frame.sampled_ns for frame in still])
     first = int(np.searchsorted(seen, seen[-1] - round(WINDOW_S * SECOND)))
 
-    def pushed(number):
-        """The frames of which one shows green 50 mm off."""
-        shown = list(still)
-        poses = shown[number].poses
-        off = replace(poses, x=poses.x + np.array([50.0, 0, 0]))
-        shown[number] = replace(shown[number], poses=off)
-        return shown
+    def pushed_at(number):
+        return with_green_moved(still, range(number, len(still)), 1.0)
 
-    def half_shift(since):
-        shown = list(still)
-        for number in range(since, len(shown)):
-            poses = shown[number].poses
-            shown[number] = replace(
-                shown[number], poses=replace(poses, x=poses.x + np.array([1.0, 0, 0]))
-            )
-        return shown
-
-    assert speeds_at_rest(half_shift(first)).tolist() == [0.0] * 3  # before the window
+    assert speeds_at_rest(pushed_at(first)).tolist() == [0.0] * 3  # before the window
     middle = (first + len(still)) // 2
-    assert speeds_at_rest(half_shift(middle))[0] > 0
-    invisible = pushed(middle)
+    assert speeds_at_rest(pushed_at(middle))[0] > 0
+    invisible = with_green_moved(still, {middle}, 50.0)
     invisible[middle] = replace(invisible[middle], valid=np.array([False, True, True]))
     assert speeds_at_rest(invisible).tolist() == [0.0] * 3
 
@@ -132,11 +121,8 @@ def test_only_the_end_of_the_frames_counts_and_only_frames_that_show_all_robots(
 @pytest.mark.parametrize(("count", "told"), [(5, False), (6, True)])
 def test_six_frames_are_enough(count, told):
     shown = frames(0.0, noise_mm=0.01)[-count:]
-    for number in range(count // 2, count):
-        poses = shown[number].poses
-        shifted = replace(poses, x=poses.x + np.array([1.0, 0, 0]))
-        shown[number] = replace(shown[number], poses=shifted)
-    assert speeds_at_rest(shown).any() == told
+    pushed = with_green_moved(shown, range(count // 2, count), 1.0)
+    assert speeds_at_rest(pushed).any() == told
 
 
 def test_only_a_stop_is_watched():

@@ -71,8 +71,9 @@ def test_wheels_are_checked_only_if_the_log_has_their_speeds(log):
 
 def test_without_limits_those_of_the_log_count(log):
     assert limits_of(log) == LabLimits()
-    assert observe_log(log) == observe_log(log, LabLimits())
-    assert observe_log(log).interventions
+    report = observe_log(log)
+    assert report == observe_log(log, LabLimits())
+    assert report.interventions
 
 
 def test_the_guard_decides_in_each_hundredth_of_a_second_without_any_frame(log):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from testkit import random_trials
+from testkit.drawn import lines
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
@@ -65,17 +66,13 @@ def test_a_trial_ends_so_long_after_its_first_command_and_never_at_once(log):
     assert 0 < end_s(at_once) < 1e-6
 
 
-def lines(axes, gid):
-    return [line for line in axes.lines if line.get_gid() == gid]
-
-
 def test_the_figure_of_one_trial_has_its_total_and_each_robots_error_up_to_the_result(log):
     of_total, of_robots = errors_figure([log]).axes
-    (total,) = lines(of_total, "total")
+    (total,) = lines(of_total, gid="total")
     gaps = log.start.setup.distances(log.positions)
     assert total.get_ydata().tolist() == gaps.sum(axis=1).tolist()
     for robot in range(2):
-        (line,) = lines(of_robots, f"robot-{robot}")
+        (line,) = lines(of_robots, gid=f"robot-{robot}")
         assert line.get_ydata().tolist() == gaps[:, robot].tolist()
         assert line.get_xdata().tolist() == log.frames_s.tolist()
     texts = [text.get_text() for text in of_total.get_legend().get_texts()]
@@ -100,7 +97,7 @@ def test_a_tolerance_is_a_line_if_there_is_one(log, tolerance):
 def test_steps_that_missed_their_deadline_are_marked(log, late):
     steps = tuple(replace(step, deadline_missed=step.k in late) for step in log.steps)
     of_robots = errors_figure([replace(log, steps=steps)]).axes[1]
-    marked = [line for line in of_robots.lines if line.get_label() == "deadline missed"]
+    marked = lines(of_robots, label="deadline missed")
     assert len(marked) == bool(late)
     if late:
         assert marked[0].get_xdata().tolist() == [log.steps_s[k] for k in late]
@@ -116,13 +113,13 @@ def test_several_trials_have_a_median_of_those_that_ran_to_their_end(log):
     logs = [other(log, error) for error in (10.0, 20.0, 90.0)]
     aborted = other(log, 5000.0, outcome=Outcome.ABORTED)
     of_total, of_robots = errors_figure([*logs, aborted]).axes
-    assert lines(of_total, "median")[0].get_ydata()[-1] == 20.0
-    assert lines(of_robots, "robot-0")[0].get_ydata()[-1] == 10.0
-    colors = [line.get_color() for line in lines(of_total, "trial")]
+    assert lines(of_total, gid="median")[0].get_ydata()[-1] == 20.0
+    assert lines(of_robots, gid="robot-0")[0].get_ydata()[-1] == 10.0
+    colors = [line.get_color() for line in lines(of_total, gid="trial")]
     assert colors == [style.GREY] * 3 + [style.ALARM]
     assert of_total.get_title(loc="left").startswith("(a) total error of 4 trials")
     only_aborted = errors_figure([aborted, aborted]).axes[0]
-    assert lines(only_aborted, "median")[0].get_ydata()[-1] == 5000.0
+    assert lines(only_aborted, gid="median")[0].get_ydata()[-1] == 5000.0
 
 
 def in_folder(log, folder):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from testkit.drawn import lines
 
 from tetractl.statistics.estimate import ArmErrors
 from tetractl.view.figures.sweep import errors_by
@@ -21,7 +22,7 @@ def figure_of(curves, field="x", only=True):
 
 
 def curve(axes, name):
-    (line,) = [line for line in axes.lines if line.get_label() == name]
+    (line,) = lines(axes, label=name)
     return line
 
 
@@ -31,7 +32,7 @@ def test_a_curve_has_the_mean_of_each_value_at_its_value_with_its_trials_and_int
     line = curve(axes, "ours")
     assert list(line.get_xdata()) == [1.0, 2.0, 4.0]
     assert list(line.get_ydata()) == [one.error.mean for one in arms]
-    (dots,) = [line for line in axes.lines if line.get_gid() == "trials"]
+    (dots,) = lines(axes, gid="trials")
     assert list(dots.get_xdata()) == [1.0] * 4 + [2.0] * 4 + [4.0] * 4
     assert list(dots.get_ydata()) == [e for one in arms for e in one.errors]
     (intervals,) = axes.collections

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from testkit import filters
 from testkit.filters import CASES, NOISE, SPEED, STANDS, STUCK, A, expected_pose, some_covariance
 
 from tetractl.control.estimation.kernels.filter import (
@@ -41,7 +42,6 @@ from tetractl.control.estimation.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.control.estimation.prior import Sticks
 
 pytestmark = pytest.mark.slow
 
@@ -66,19 +66,16 @@ class Drive(NamedTuple):
 
 
 def model_of(case, robots=1, **changes):
+    """What is assumed of one or two robots that differ, with some changes."""
     walk = np.linspace(0.02, 0.2, case.states)[:, None] * np.ones(robots)
     walk[Y] = walk[X]
     walk[FLOW_Y] = walk[FLOW_X]
-    model = FilterModel(
+    return filters.model_of(case, watchdog_s=0.12)._replace(
         parameters=np.array([[A, SPEED], [3.0, 200.0]])[:robots],
         noise=NOISE * np.array([1.0, 1.5])[:robots],
         walk=walk,
-        helix_rad_s=case.helix_rad_s,
-        host_lag_s=case.host_lag_s,
-        watchdog_s=0.12,
-        sticks=Sticks(every_s=6.0, for_s=2.0, strays=60.0, turns=1.0),
+        **changes,
     )
-    return model._replace(**changes)
 
 
 def bank_of(case, robots=1, follows=FOLLOWS):
@@ -234,8 +231,7 @@ def test_it_does_not_matter_in_how_many_calls_frames_come():
     at_once, ln = drive_of("wheels").followed()
     drive = drive_of("wheels")
     total = 0.0
-    for end in (7, 8, FRAMES):
-        begin = {7: 0, 8: 6, FRAMES: 7}[end]
+    for begin, end in ((0, 7), (6, 8), (7, FRAMES)):
         part = drive._replace(frames=drive.frames.part(begin, end))
         total = total + part.followed()[1]
     assert total == pytest.approx(ln)

@@ -66,18 +66,26 @@ class Future:
         put(self)
 
 
+def executor_of(client, interrupt=None):
+    executor = Cluster("tcp://nowhere:1", interrupt or Interrupt())
+    executor._client = client
+    return executor
+
+
+def tasks_of(count):
+    return [Task(i, count, b"") for i in range(count)]
+
+
 def run(client, count, tmp_path):
     """What becomes of so many trials that a cluster with this client runs."""
-    executor = Cluster("tcp://nowhere:1", Interrupt())
-    executor._client = client
     watcher = Watcher()
 
     def ready(task):
         watcher.trial_started(task)
         return tmp_path
 
-    tasks = [Task(i, count, b"") for i in range(count)]
-    return {task.trial: outcome for task, outcome in executor.run(tasks, ready)}
+    ended = executor_of(client).run(tasks_of(count), ready)
+    return {task.trial: outcome for task, outcome in ended}
 
 
 def test_a_task_is_two_seconds_of_trials(tmp_path):
@@ -103,9 +111,22 @@ def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
 
 @pytest.mark.parametrize(
     ("mean_s", "waiting", "size"),
-    [(None, 10**6, 1), (10.0, 10**6, 1), (0.5, 10**6, 4), (1e-9, 10**6, 200), (0.1, 80, 10)],
+    [
+        (None, 10**6, 1),
+        (10.0, 10**6, 1),
+        (2.1, 10**6, 1),
+        (1.0, 10**6, 2),
+        (0.5, 10**6, 4),
+        (0.01, 10**6, 200),
+        (0.009, 10**6, 200),
+        (1e-9, 10**6, 200),
+        (0.0, 10**6, 200),
+        (0.1, 80, 10),
+        (0.1, 16, 2),
+        (0.1, 7, 1),
+    ],
 )
-def test_the_size_of_a_task(mean_s, waiting, size):
+def test_a_task_has_no_more_trials_than_its_time_its_size_and_its_share(mean_s, waiting, size):
     assert chunk_size(mean_s, waiting, 8) == size
 
 
@@ -153,16 +174,6 @@ class Later(Client):
 
     def cancel(self, futures):
         self.cancelled += futures
-
-
-def executor_of(client, interrupt=None):
-    executor = Cluster("tcp://nowhere:1", interrupt or Interrupt())
-    executor._client = client
-    return executor
-
-
-def tasks_of(count):
-    return [Task(i, count, b"") for i in range(count)]
 
 
 @pytest.mark.parametrize(("threads", "submitted"), [(1, 8), (4, 8), (5, 10), (20, 40)])
@@ -248,14 +259,3 @@ def test_an_error_of_a_task_is_the_end_of_each_of_its_trials(tmp_path):
     client.submit = lambda work, tasks, pure: Future(ValueError("cannot be unpickled"), tasks)
     ended = list(executor_of(client).run(tasks_of(3), lambda task: tmp_path))
     assert [str(error) for _, error in ended] == ["cannot be unpickled"] * 3
-
-
-@pytest.mark.parametrize(
-    ("mean_s", "waiting", "size"),
-    [
-        *((1.0, 10**6, 2), (2.1, 10**6, 1), (0.01, 10**6, 200), (0.009, 10**6, 200)),
-        *((0.1, 7, 1), (0.1, 16, 2), (0.0, 10**6, 200)),
-    ],
-)
-def test_a_task_has_no_more_trials_than_its_time_its_size_and_its_share(mean_s, waiting, size):
-    assert chunk_size(mean_s, waiting, 8) == size

@@ -2,7 +2,6 @@
 
 import io
 import re
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -41,19 +40,25 @@ def recording(log):
     return Recording(log)
 
 
+class Wall(HandClock):
+    """A wall clock that keeps the times until which somebody waited."""
+
+    def __init__(self):
+        super().__init__()
+        self.waits = []
+
+    def sleep_until(self, when):
+        super().sleep_until(when)
+        self.waits.append(when)
+
+
 def printed(recording, capsys, span=None, **options):
-    """The lines that are printed of a recording, with the time of the clock after each."""
-    waits = []
-
-    class Wall(HandClock):
-        def sleep_until(self, when):
-            waits.append(when - 9 * SECOND)
-            super().sleep_until(when)
-
+    """The lines that are printed of a recording, and until when each waited since the start."""
     wall = Wall()
-    HandClock.sleep_until(wall, 9 * SECOND)
+    start_ns = 9 * SECOND
+    wall.sleep_until(start_ns)
     print_lines(recording, wall, span or (0, recording.end_ns), **options)
-    return capsys.readouterr().out.splitlines(), waits
+    return capsys.readouterr().out.splitlines(), [when - start_ns for when in wall.waits[1:]]
 
 
 def test_every_step_has_a_line_and_the_result_comes_last(recording, capsys):
@@ -101,23 +106,20 @@ def test_a_loop_plays_again_after_its_span_and_never_without_lines(recording, ca
     class EnoughError(Exception):
         pass
 
-    ends = []
-
-    class Wall(HandClock):
+    class Lasting(Wall):
         def sleep_until(self, when):
             super().sleep_until(when)
-            ends.append(when)
-            if len(ends) == 6:
+            if len(self.waits) == 6:
                 raise EnoughError
 
-    wall = Wall()
+    wall = Lasting()
     with pytest.raises(EnoughError):
         print_lines(recording, wall, (first, last), loop=True)
     length = last - first
     once = [0, length, length]  # two lines, and the end of the span
-    assert ends == [*once, *(length + time for time in once)]
+    assert wall.waits == [*once, *(length + time for time in once)]
     print_lines(recording, wall, (first + 1, first + 2), loop=True)
-    assert len(ends) == 6
+    assert len(wall.waits) == 6
 
 
 def test_a_log_without_a_result_has_no_line_of_one(recording, capsys):
@@ -223,14 +225,6 @@ class Screen:
         pass
 
 
-@contextmanager
-def no_terminal(monkeypatch, keys):
-    screen = Screen()
-    monkeypatch.setattr(replay_screen, "Keyboard", Keys(keys))
-    monkeypatch.setattr(replay_screen, "Screen", screen)
-    yield screen
-
-
 def played(monkeypatch, log, keys, count=1, turns=True):
     """The trials that were turned to, and what the screen showed, until q is pressed."""
     recording = Recording(log)
@@ -244,8 +238,10 @@ def played(monkeypatch, log, keys, count=1, turns=True):
         turned.append(index)
         return player()
 
-    with no_terminal(monkeypatch, [*keys, "q"]) as screen:
-        ended = play_trials(Console(), player(), count, turn_to if turns else None)
+    screen = Screen()
+    monkeypatch.setattr(replay_screen, "Keyboard", Keys([*keys, "q"]))
+    monkeypatch.setattr(replay_screen, "Screen", screen)
+    ended = play_trials(Console(), player(), count, turn_to if turns else None)
     assert ended is False
     return turned, screen.shown
 

@@ -11,9 +11,10 @@ ROBOTS = THREE_M3PI["robots"]
 
 
 @pytest.fixture(autouse=True)
-def few_sequences(monkeypatch):
+def few_short_sequences(monkeypatch):
     """What is said here needs no exact spread."""
     monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 20)
+    monkeypatch.setattr("tetractl.reach.reach.LENGTH", 8)
 
 
 def robots_of(*rates):

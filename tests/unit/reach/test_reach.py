@@ -23,6 +23,18 @@ def three_robots(a=(6, 4, 3), speed=(200, 200, 200), **fields):
     return experiment(robots=robots, **fields)
 
 
+@pytest.fixture
+def few_sequences(monkeypatch):
+    """Enough to tell which robots are alike."""
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 80)
+
+
+@pytest.fixture(scope="module")
+def reached_by_equals():
+    """What three robots reach that turn equally fast."""
+    return reach(three_robots(a=(6, 6, 6)))
+
+
 def test_robots_that_differ_can_be_steered_apart():
     """Each robot has two coordinates."""
     reached = reach(three_robots())
@@ -33,16 +45,15 @@ def test_robots_that_differ_can_be_steered_apart():
     assert str(reached) == "6 of 6"
 
 
-def test_robots_alike_are_named():
-    reached = reach(three_robots(a=(6, 6, 6)))
-    assert reached.rank == 2
-    assert reached.identical == (NAMES,)
-    assert str(reached).startswith("2 of 6; ")
-    assert "move in the same way" in str(reached)
+def test_robots_alike_are_named(reached_by_equals):
+    assert reached_by_equals.rank == 2
+    assert reached_by_equals.identical == (NAMES,)
+    assert str(reached_by_equals).startswith("2 of 6; ")
+    assert "move in the same way" in str(reached_by_equals)
 
 
-def test_the_rates_advised_part_robots_that_are_alike():
-    advised = [robot.a_advised for robot in reach(three_robots(a=(6, 6, 6))).separable]
+def test_the_rates_advised_part_robots_that_are_alike(reached_by_equals):
+    advised = [robot.a_advised for robot in reached_by_equals.separable]
     parted = reach(three_robots(a=(6, *advised)))
     assert parted.rank == 6
     assert parted.identical == ()
@@ -80,6 +91,7 @@ def test_the_two_most_similar_robots_differ_least_in_a():
     assert most_similar(setup.only([0])) is None
 
 
+@pytest.mark.usefixtures("few_sequences")
 def test_facts_of_similar_robots_are_the_same_in_text_and_json():
     spec = three_robots(a=(6, 6, 3))
     rows = dict(facts_table(spec).rows)
@@ -120,12 +132,7 @@ def test_of_very_many_robots_nothing_is_said():
     assert reach(experiment(robots=robots)) is None
 
 
-@pytest.fixture
-def few_sequences(monkeypatch):
-    """Enough to tell which robots are alike."""
-    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 80)
-
-
+@pytest.mark.usefixtures("few_sequences")
 def test_as_many_robots_as_are_allowed_have_a_verdict(monkeypatch):
     monkeypatch.setattr("tetractl.reach.reach.ROBOTS_MAX", 3)
     assert reach(three_robots()) is not None

@@ -8,7 +8,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.run.checked_controller import build_controller
-from tetractl.run.control_loop import Trial
+from tetractl.run.control_loop import EstimateMonitor, Trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.experiment import Experiment
@@ -27,16 +27,29 @@ def experiment(name: str, *settings: str) -> Experiment:
 
 
 def played(
-    spec: Experiment, trial: int, observers: Sequence[Observer] = ()
+    spec: Experiment,
+    trial: int,
+    observers: Sequence[Observer] = (),
+    model: EstimateMonitor | None = None,
 ) -> tuple[Result, Plant]:
-    """Run a trial in virtual time without a log, and return its result and its plant."""
+    """Run a trial in virtual time without a log.
+
+    Args:
+        spec: The experiment.
+        trial: Index of the trial.
+        observers: Objects that are notified of everything that happens.
+        model: Reports what is new in the controller's estimates. None to report nothing.
+
+    Returns:
+        The result of the trial, and its plant.
+    """
     key, seed = trial_seeds(spec.trials.seed, trial)
     clock = VirtualClock()
     plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
     not_open = PlantInfo("", True, 0.0, {})
     start = start_of(LoadedSpec(spec, "", ""), trial, not_open, EPOCH_NS)
     controller = build_controller(spec, key)
-    return Trial(start, plant, controller, clock, observers, Interrupt()).run(), plant
+    return Trial(start, plant, controller, clock, observers, Interrupt(), model).run(), plant
 
 
 def run(spec: Experiment, trials: int) -> list[Result]:

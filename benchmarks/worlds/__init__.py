@@ -30,6 +30,18 @@ HURT = (
     "plant.lost_commands=0.08",
     "plant.measurement_noise={position: 0.3, heading: 0.004}",
 )
+SLOW_STACK = (  # control at 10 Hz, a slow camera that jitters, and a radio that loses much
+    "plant.dead_time=0.15",
+    "plant.a_error=0.2",
+    "plant.speed_error=0.1",
+    "plant.heading_noise=0.03",
+    "plant.lost_commands=0.15",
+    "plant.camera_rate=15",
+    "plant.measurement_noise={position: 2, heading: 0.004}",
+    "plant.disturbances=[{type: camera-latency, mean: 0.05, deviation: 0.02}]",
+    "controller.period=0.1",
+    "controller.signal_periods=2",
+)
 AT_5HZ = ("controller.period=0.2", "controller.signal_periods=1", "controller.time_limit=160")
 LONG = ("controller.horizon_max=200", "controller.time_limit=160.05")
 
@@ -123,6 +135,14 @@ WORLDS = {
     "slide": _lacking("slide", 12.0),
     "strip": _lacking("strip", 300.0),
     "lens": _lacking("lens", 0.01),
+    # models of a wrong shape: no value of any parameter explains how these robots move
+    "slow-turning": _lacking("slow-turning", 0.25),
+    "proportional": _lacking("proportional", 1.0),
+    "rolling": _lacking("rolling", 0.2),
+    "filling-buffer": _lacking("filling-buffer", 0.3),
+    "pivot": _lacking("pivot", 20.0),
+    "slow-stack": World(SLOW_STACK),
+    "cells-askew": World((), (("askew", 0.35),), base=CELLS),
     # of experiments/benchmark
     **{name: World((), base=f"benchmark/{name}.yaml") for name in BENCHMARK},
     "cells": World((), base=CELLS),
@@ -131,3 +151,13 @@ WORLDS = {
     "cells-avoid": World((), (("avoid", 10.0),), base=CELLS),
 }
 """Each world by its name."""
+WRONG_SHAPES = (
+    "slow-turning",
+    "proportional",
+    "rolling",
+    "filling-buffer",
+    "pivot",
+    "slow-stack",
+    "cells-askew",
+)
+"""The worlds in which the controller's model has a wrong shape."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
@@ -209,6 +210,138 @@ class Avoid(Unmodelled):
         return a, speed * np.where(turns, 0.0, np.where(back, -1.0, 1.0))
 
 
+class SlowTurning(Turning):
+    """Makes the turning rate follow the commanded one with the time constant `size` [s]."""
+
+    def draw(self) -> None:
+        self.rate = np.zeros(self.count)
+
+    def turned(self, by: Floats, seconds: float) -> Floats:
+        if seconds == 0:
+            return by
+        by, self.rate = _lagging(self.rate, by / seconds, seconds, self.size)
+        return by
+
+
+class Proportional(Turning):
+    """Makes robots turn in proportion to the angle to the direction, instead of to its sine.
+
+    The turning rate is `size` times a times the angle.
+    """
+
+    def draw(self) -> None:
+        self.due: list[tuple[float, float]] = []  # time [s] and direction [rad] of each command
+        self.direction = np.nan
+
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
+        action = command.action
+        direction = action.direction if isinstance(action, Steer) else np.nan
+        self.due.append((command.due_ns / SECOND, direction))
+        return command
+
+    def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
+        self.a = a
+        while self.due and self.due[0][0] <= time_s:
+            self.direction = self.due.pop(0)[1]
+        return a, speed
+
+    def turned(self, by: Floats, seconds: float) -> Floats:
+        if np.isnan(self.direction):
+            return by
+        angle = wrap(self.direction - self.before)
+        return np.where(by == 0, by, self.size * self.a * angle * seconds)
+
+
+class Rolling(Unmodelled):
+    """Makes the speed follow the commanded one with the time constant `size` [s].
+
+    Robots therefore roll on after a stop.
+    """
+
+    def draw(self) -> None:
+        self.speed = np.zeros(self.count)
+        self.place: Floats | None = None
+
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
+        place = poses.xy.T if self.place is None else self.place
+        if seconds > 0:
+            commanded = np.hypot(*(poses.xy.T - place)) / seconds
+            way, self.speed = _lagging(self.speed, commanded, seconds, self.size)
+            place = place + way * np.array([np.cos(poses.heading), np.sin(poses.heading)])
+        self.place = place
+        return Poses(place[0], place[1], poses.heading)
+
+
+def _lagging(
+    before: Floats, commanded: Floats, seconds: float, lag_s: float
+) -> tuple[Floats, Floats]:
+    """Let a rate follow the commanded one like a low-pass filter.
+
+    Args:
+        before: The rate at the beginning, per second.
+        commanded: The commanded rate, per second.
+        seconds: The time that passes [s].
+        lag_s: The time constant [s].
+
+    Returns:
+        The integral of the rate over this time, and the rate at its end.
+    """
+    kept = np.exp(-seconds / lag_s)
+    integral = commanded * seconds + (before - commanded) * lag_s * (1 - kept)
+    return integral, commanded + (before - commanded) * kept
+
+
+class FillingBuffer(Unmodelled):
+    """Delays directions more and more, by up to `size` [s] within 12 s.
+
+    Then the buffer is emptied, and the delay grows again from 0.
+    """
+
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
+        if not isinstance(command.action, Steer):
+            return command
+        later_s = self.size * (command.sent_ns / SECOND % 12) / 12
+        return replace(command, due_ns=command.due_ns + round(later_s * SECOND))
+
+
+class Pivot(Unmodelled):
+    """Makes the camera measure a point `size` [mm] away from the middle between the wheels.
+
+    The direction from the middle to this point is sampled for each robot.
+    """
+
+    def draw(self) -> None:
+        self.bearing = self.random.uniform(-np.pi, np.pi, self.count)
+
+    def measured(self, poses: Poses, valid: Any, time_s: float) -> tuple[Poses, Any]:
+        angle = poses.heading + self.bearing
+        x = poses.x + self.size * np.cos(angle)
+        return Poses(x, poses.y + self.size * np.sin(angle), poses.heading), valid
+
+
+class Askew(Unmodelled):
+    """Makes each cell swim at an angle of `size` [rad] to its body.
+
+    The side is sampled for each cell. The angle wanders by 0.1 rad within about 2 s.
+    """
+
+    def draw(self) -> None:
+        self.mean = self.size * self.random.choice([-1.0, 1.0], self.count)
+        self.wander = 0.1 * self.random.normal(size=self.count)
+        self.place: Floats | None = None
+
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
+        place = poses.xy.T if self.place is None else self.place
+        kept = np.exp(-seconds / 2)
+        noise = self.random.normal(size=self.count)
+        self.wander = kept * self.wander + 0.1 * np.sqrt(1 - kept**2) * noise
+        cos = np.cos(self.mean + self.wander)
+        sin = np.sin(self.mean + self.wander)
+        x, y = poses.xy.T - place
+        self.place = place + np.array([cos * x - sin * y, sin * x + cos * y])
+        return Poses(self.place[0], self.place[1], poses.heading)
+
+
 KINDS: dict[str, type[Unmodelled]] = {
     "later": Later,
     "sparse-radio": SparseRadio,
@@ -220,6 +353,12 @@ KINDS: dict[str, type[Unmodelled]] = {
     "lens": Lens,
     "dead": Dead,
     "avoid": Avoid,
+    "slow-turning": SlowTurning,
+    "proportional": Proportional,
+    "rolling": Rolling,
+    "filling-buffer": FillingBuffer,
+    "pivot": Pivot,
+    "askew": Askew,
 }
 
 

@@ -18,6 +18,8 @@ import numpy as np
 from solverbench.problems import played
 
 from tetractl.core.poses import Floats
+from tetractl.core.protocols import Observer
+from tetractl.run.model_changes import model_monitor
 from tetractl.statistics.estimate import distributions
 
 from . import WORLDS
@@ -61,13 +63,23 @@ class Row:
 Rows = Mapping[Task, Row]
 
 
-def run(task: Task) -> Row:
-    """Run one trial."""
+def run(task: Task, observers: Sequence[Observer] = ()) -> Row:
+    """Run one trial.
+
+    Args:
+        task: The trial.
+        observers: Objects that are notified of everything that happens. If there are none, the
+            controller's estimates are not compared with the spec, which saves time.
+
+    Returns:
+        The result of the trial.
+    """
     place, *settings = task.place.split(" --set ")
     name, slow, _ = place.partition("-5hz")
     world = WORLDS[name]
     spec = world.spec(task.seed, task.trial, settings, slow=bool(slow))
-    result, plant = played(spec, task.trial)
+    model = model_monitor(spec) if observers else None
+    result, plant = played(spec, task.trial, observers, model)
     verdict = result.verdict
     errors = np.array(result.robot_errors)
     for disturbance in plant.disturbances:

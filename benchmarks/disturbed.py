@@ -5,14 +5,16 @@
     python benchmarks/disturbed.py --part given --seed 20261130             after calibration
     python benchmarks/disturbed.py --part hurting --seed 60201              harmful disturbances
     python benchmarks/disturbed.py --part accept --trials 40 --seed 60101   time against error
+    python benchmarks/disturbed.py --part radio --trials 40 --seed 512306103    commands a second
 
-All rows of a part have the same seeds. Their plants come from `benchmarks/worlds`.
+All rows of a part have the same seeds, so their trials form pairs. The second table has the
+differences between each row and the first one. Plants come from `benchmarks/worlds`.
 """
 
 import argparse
 
 from solverbench.report import load, progress
-from worlds.trials import HEAD, Task, line, run
+from worlds.trials import HEAD, PAIRS_HEAD, Task, line, pair_line, run
 
 TOLD = "controller.dead_time=0.06"  # of the bench [s]
 NOT_IDENTIFIED = "controller.estimate=false"
@@ -81,6 +83,12 @@ PARTS = {
         f"accept {mm} mm": _bench(f"controller.accept_error={mm}")
         for mm in (40, 30, 20, 15, 12, 10, 8)
     },
+    "radio": {
+        "60 commands per second": _bench(),
+        "40 commands per second": _bench("plant.drive.rate=40"),
+        "80 commands per second": _bench("plant.drive.rate=80"),
+        "60 commands per second, none lost": _bench("plant.disturbances.3.loss=0"),
+    },
 }
 
 
@@ -95,10 +103,17 @@ def main() -> None:
     if chosen.only not in (None, *rows):
         parser.error(f"--only: no row {chosen.only!r} of the part {chosen.part}")
     print(f"Simulated, {chosen.trials} trials a row, seed {chosen.seed}. {load()}.\n\n{HEAD}")
+    trials = {}
     for name in rows if chosen.only is None else [chosen.only]:
         progress(name)
         tasks = [Task(chosen.seed, rows[name], trial) for trial in range(chosen.trials)]
-        print(line(name, [run(task) for task in tasks]), flush=True)
+        trials[name] = [run(task) for task in tasks]
+        print(line(name, trials[name]), flush=True)
+    first, *others = trials
+    if others:
+        print(f"\nDifferences from pairs: each row minus the row {first!r}.\n\n{PAIRS_HEAD}")
+    for name in others:
+        print(pair_line(name, rows[name], list(zip(trials[first], trials[name], strict=True))))
 
 
 if __name__ == "__main__":

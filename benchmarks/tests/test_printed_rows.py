@@ -74,6 +74,7 @@ ROWS = [
     ("knowledge", "dead time given", "60101"),
     ("hurting", "none of these", "60201"),
     ("accept", "accept 30 mm", "60101"),
+    ("radio", "60 commands per second", "512306103"),
 ]
 
 

@@ -126,8 +126,10 @@ WORLDS = {
     "saturated-2": _lacking("saturated", 2.0),
     "saturated-4": _lacking("saturated", 4.0),
     "near-walls": World(layout=near_a_wall),
+    "near-walls-bench": World((), layout=near_a_wall, base=BENCH),
     "dead": World((*HURT, "on_lost=drop"), (("dead", 8.0),)),
     "gap": World((*LONG, *HURT), layout=through_a_gap),
+    "gap-bench": World(LONG, layout=through_a_gap, base=BENCH),
     "anywhere": World((*LONG, *HURT), layout=anywhere),
     "eight": World((*LONG, *HURT, "controller.accept_error=40"), layout=eight),
     # each robot late by its own, a floor that slopes, a strip of another floor, a lens

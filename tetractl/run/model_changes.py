@@ -25,9 +25,9 @@ CHANGE_STDS = 3.0
 FITS_AGAIN_AFTER_S = 5.0
 """Time without a mismatch after which the model counts as fitting again [s]."""
 DEAD_TIME_ERROR_S = 0.025
-"""Minimum error of the spec's dead time that is reported [s]: the time between two commands at the
-40 Hz of the shipped labs. A robot that misses a command obeys the next one, so lost commands alone
-make the estimate differ by up to this time, and no field of the spec is wrong then."""
+"""Minimum error of the spec's dead time that is reported [s]: the time between two commands at
+the 40 Hz of `twist` robots. A robot that misses a command obeys the next one, so lost commands
+alone make the estimate differ by up to this time, and no field of the spec is wrong then."""
 LATE_ROBOT_S = 0.05
 """Minimum difference between two robots' dead times that is reported [s]. The reason is in
 docs/decisions/filter.md."""

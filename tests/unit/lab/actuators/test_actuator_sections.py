@@ -7,10 +7,13 @@ import pytest
 from testkit.trials import experiment
 
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.m3pi.section import M3piSection
+from tetractl.lab import cobs
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
+from tetractl.lab.actuators.m3pi.section import FRAME_BYTES, WHEELS_BYTES, M3piSection
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheeled_section import Found, FoundWheel
+from tetractl.lab.actuators.xbee.api_frames import BROADCAST, encode
 
 NAMES = ("green", "blue", "red")
 SETUP = replace(experiment(wheels={"radius": 40}).setup, watchdog_s=0.25)
@@ -109,6 +112,38 @@ def test_two_own_robots_have_two_addresses():
 def test_the_spec_may_not_expect_a_longer_watchdog_than_own_robots_have(watchdog_s, refused):
     setup = replace(SETUP, watchdog_s=watchdog_s)
     assert fields_of(own().contradictions(setup)) == ([()] if refused else [])
+
+
+@pytest.mark.parametrize(
+    ("baud", "robots", "hz"),
+    [
+        (57_600, 3, 60),
+        (57_600, 15, 60),
+        (57_600, 16, 40),  # 60 Hz would keep the port busy for 51 % of the time
+        (57_600, 28, 20),
+        (115_200, 32, 60),
+        (19_200, 3, 40),
+        (9_600, 3, 20),
+        (9_600, 32, 20),
+    ],
+)
+def test_m3pi_robots_get_as_many_commands_as_their_radio_has_room_for(baud, robots, hz):
+    rows = [{"name": f"r{i}"} for i in range(robots)]
+    section = M3piSection(type="m3pi-xbee", port="/dev/null", baud=baud, robots=rows)
+    assert section.commands_hz == hz
+    assert section.model_copy(update={"rate": 120.0}).commands_hz == 120
+
+
+def test_an_index_that_is_not_the_next_one_makes_commands_longer():
+    assert m3pi(baud=19_200).commands_hz == 40
+    assert m3pi({}, {}, {"index": 3}, baud=19_200).commands_hz == 20
+
+
+@pytest.mark.parametrize("robots", [1, 3, 32])
+def test_a_command_has_as_many_bytes_on_the_port_as_assumed(robots):
+    command = BroadcastCommand(7, cobs.Flag.RUN, ((5, -5),) * robots)
+    sent = encode(BROADCAST + encode_command(command))
+    assert len(sent) - sent.count(0x7D) == FRAME_BYTES + WHEELS_BYTES * robots
 
 
 @pytest.mark.parametrize(("rate", "refused"), [(12.0, False), (11.9, True), (10.0, True)])

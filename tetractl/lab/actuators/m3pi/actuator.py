@@ -47,7 +47,7 @@ class M3piActuator(WheeledActuator):
             stated_radii_mm=[robot.radius_mm for robot in self.robots],
             drivetrains=self.drivetrains,
             delay_ns=RADIO_NS,
-            rate=section.rate,
+            rate=section.commands_hz,
             ask=self._radio.poll,
             warn_v=section.battery_warn,
         )

@@ -18,6 +18,25 @@ from tetractl.spec.lab_section import (
 )
 from tetractl.spec.yaml.problems import Loc
 
+RATES_HZ = (60.0, 40.0, 20.0)
+"""Default numbers of wheel commands per second [Hz], of which the first that has room is used.
+
+After a lost command, the wheels keep their speeds until the next one arrives. On the simulated
+bench, where 5 % of the commands are lost, trials take less time at 60 Hz than at 40 Hz, and 80 Hz
+brings nothing more (docs/reference/measured.md).
+"""
+BUSY_MAX = 0.5
+"""Maximum fraction of the time for which commands may keep the radio's port busy by default.
+
+The rest is for the random waits of the radio, escaped bytes and the answers of robots; chosen.
+"""
+FRAME_BYTES = 17
+"""Bytes of a command on the port without wheels: 9 of the radio's frame and 8 of the command."""
+WHEELS_BYTES = 2
+"""Bytes for the two wheels of a robot in a command."""
+BYTE_BITS = 10
+"""Bits of a byte on a serial port, with its start bit and stop bit."""
+
 
 class WheelSection(Model):
     """The fields of one wheel: its speed is the gain times (|count| - dead zone)."""
@@ -60,12 +79,25 @@ class M3piSection(XbeeSection, ActuatorSection):
     stopping: ClassVar[str] = "tetractl.lab.actuators.m3pi.broadcast:stop_all"
     dead_zone_max: ClassVar[int] = 60
     type: Literal["m3pi-xbee"]
-    rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
-    """Wheel commands per second [Hz]."""
+    rate: float | None = Field(default=None, ge=20, le=120, allow_inf_nan=False)
+    """Wheel commands per second [Hz].
+
+    Default: 60, or 40 or 20 if more would keep the radio's port busy for over half of the time.
+    """
     robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with its number and wheels."""
     battery_warn: NonNegative = 4.4
     """Battery voltage below which a warning is printed for a robot [V]."""
+
+    @property
+    def commands_hz(self) -> float:
+        """The number of wheel commands per second [Hz]: `rate`, or its default."""
+        if self.rate is not None:
+            return self.rate
+        numbers = 1 + max(self.index(robot.name) for robot in self.robots)
+        command_s = (FRAME_BYTES + WHEELS_BYTES * numbers) * BYTE_BITS / self.baud
+        affordable = (hz for hz in RATES_HZ if hz * command_s <= BUSY_MAX)
+        return next(affordable, RATES_HZ[-1])
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the field and message of each problem with robots, numbers or wheels."""
@@ -89,7 +121,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     def bounds(self) -> dict[str, str]:
         """Return the radio's port and rate, and the maximum wheel count, as {name: text}."""
         return {
-            "radio": f"{self.port}, {self.rate:g} commands per second",
+            "radio": f"{self.port}, {self.commands_hz:g} commands per second",
             "wheel counts": f"at most {max(robot.limit for robot in self.robots)} of 127",
         }
 

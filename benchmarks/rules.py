@@ -17,7 +17,7 @@ import math
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -38,6 +38,8 @@ from tetractl.control.methods.mpc import Mpc
 from tetractl.control.methods.mpc_section import PriorSection, RecommendedMpc
 from tetractl.control.methods.value import CandidateValues
 from tetractl.control.search import margins, near_targets
+from tetractl.core.motion_estimate import Estimate
+from tetractl.core.poses import Floats
 
 COMMON = ("base", "bench", "base-5hz")
 WALLS = ("near-walls", "near-walls-5hz", "gap")
@@ -114,10 +116,19 @@ def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
 _with_margins = Mpc._with_margins
 _reopen = FilterBank._reopen
 _common = filter_state.CommonTimes.of
+_off_course = margins.off_course
 
 
 def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
     return _with_margins(self, problem, estimate or self.estimator.known)
+
+
+def _off_course_by_uncertainty(
+    speed: Floats, heard_s: float, dead_time_s: float, estimate: Estimate | None
+) -> float:
+    """Compute how far robots leave their courses, without wheels that roll on wrongly."""
+    uncertain = None if estimate is None else replace(estimate, lag=None)
+    return _off_course(speed, heard_s, dead_time_s, uncertain)
 
 
 def _bee_lines(problem: Any, grid: Any) -> Any:
@@ -181,7 +192,13 @@ RULES = {
     "to touch a margin costs": Rule((_value(touches=False),), WALLS),
     # margins
     "margins for uncertain motion": Rule(((margins, "SIGMAS", 0.0),), WALLS),
-    "margins for a lost command": Rule(((near_targets, "LOST_SHARE", 0.0),), WALLS),
+    "margins for a lost command": Rule(
+        (
+            (near_targets, "LOST_SHARE", 0.0),
+            (margins, "off_course", _off_course_by_uncertainty),
+        ),
+        (*WALLS, "near-walls-bench", "gap-bench"),
+    ),
     # radio: tetractl.control.estimation.reception
     "radio test": Rule(
         ((FilterBank, "tests_radio", property(lambda _: False)),),

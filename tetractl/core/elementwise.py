@@ -35,7 +35,7 @@ def _elementwise(
             one.
         arity: Number of arguments.
     """
-    loop = np.frompyfunc(function, arity, 1)
+    single = _one_by_one(function)
 
     def apply_to_large(arguments: list[Floats]) -> Floats:
         alike = np.broadcast_arrays(*arguments)
@@ -44,18 +44,36 @@ def _elementwise(
             return of_arrays(*alike)
         values = np.empty(ordinary.shape)
         values[ordinary] = of_arrays(*(argument[ordinary] for argument in alike))
-        values[~ordinary] = loop(*(argument[~ordinary] for argument in alike))
+        values[~ordinary] = single(*(argument[~ordinary] for argument in alike))
         return values
 
     def apply(*arguments: ArrayLike) -> Floats:
-        floats = [np.asarray(argument, dtype=np.float64) for argument in arguments]
-        is_large = any(argument.size >= LARGE for argument in floats)
-        # NaN stands for what is unknown, and remains NaN
-        with np.errstate(invalid="ignore", over="ignore"):
-            values = apply_to_large(floats) if is_large else loop(*floats)
-        return np.asarray(values, dtype=np.float64)[()]  # a number for numbers
+        floats = [np.asarray(argument, np.float64) for argument in arguments]
+        for argument in floats:
+            if argument.size >= LARGE:
+                # NaN stands for what is unknown, and remains NaN
+                with np.errstate(invalid="ignore", over="ignore"):
+                    return apply_to_large(floats)
+        return single(*floats)[()]  # a number for numbers
 
     apply.__doc__ = function.__doc__
+    return apply
+
+
+def _one_by_one(function: Callable[..., float]) -> Callable[..., Floats]:
+    """Make a function of small arrays that calls a function of numbers for each element."""
+
+    def apply(*arguments: Floats) -> Floats:
+        shape = arguments[0].shape
+        for argument in arguments[1:]:
+            if argument.shape != shape:
+                arguments = np.broadcast_arrays(*arguments)
+                shape = arguments[0].shape
+        if len(shape) == 1:
+            return np.array([*map(function, *(a.tolist() for a in arguments))], np.float64)
+        values = map(function, *(argument.ravel().tolist() for argument in arguments))
+        return np.array([*values], np.float64).reshape(shape)
+
     return apply
 
 
@@ -68,9 +86,15 @@ log1p = _elementwise(elementary.log1p, arrays.log1p, arrays.is_above_minus_1)
 tanh = _elementwise(elementary.tanh, arrays.tanh, arrays.is_half_exponent)
 atan2 = _elementwise(elementary.atan2, arrays.atan2, arrays.is_off_origin, arity=2)
 
+_small_hypot = _one_by_one(elementary.hypot)
+
 
 def hypot(x: ArrayLike, y: ArrayLike) -> Floats:
     """Compute the lengths of vectors (x, y), numbers or arrays that broadcast."""
+    x = np.asarray(x, dtype=np.float64)
+    y = np.asarray(y, dtype=np.float64)
+    if x.size < LARGE and x.shape == y.shape:
+        return _small_hypot(x, y)[()]
     size = np.maximum(np.abs(x), np.abs(y))
     ordinary = (size > 0) & (size < np.inf)
     unit = np.where(ordinary, size, 1.0)

@@ -10,14 +10,17 @@ program: since nothing else calls these parts, the compiler may inline them, sha
 arguments that they do not use. The kernel never calls machine code from outside. Therefore it
 computes the same bits whether it was compiled now or loaded from the cache.
 
-The passes that translate Python are numba's own. Only its private class of a code library is
-replaced. If numba has no such class, it compiles as it does by default, with equal results.
+The passes that translate Python are numba's own, without those that kernels do not need. Only
+its private class of a code library is replaced. If numba has no such class, each part is compiled
+as by default, with equal results.
 """
 
+from types import CodeType
 from typing import Any
 
 from llvmlite.binding import Linkage
-from numba.core.compiler import Compiler
+from numba.core import typed_passes, untyped_passes
+from numba.core.compiler import Compiler, Flags
 
 JITCodeLibrary: Any
 try:
@@ -69,22 +72,115 @@ class KernelLibrary(JITCodeLibrary):
         super()._optimize_final_module()
 
 
-class PartCompiler(Compiler):
+class SharedFlags(Flags):
+    """The compiler options of many functions, in one object that never changes.
+
+    Numba looks up the implementation of every operation by its types and by the options. It would
+    compare all options one by one. These options are equal only if they are the same object.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def equal_to(cls, flags: Flags) -> "SharedFlags":
+        """Return the shared object for the given options."""
+        values = flags.values()
+        for shared in _shared_flags:
+            if shared.values() == values:
+                return shared
+        shared = cls()
+        shared._values = flags._values.copy()
+        _shared_flags.append(shared)
+        return shared
+
+    def copy(self) -> Flags:
+        """Return options that may be changed."""
+        changeable = Flags()
+        changeable._values = self._values.copy()
+        return changeable
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, SharedFlags):
+            return self is other
+        return super().__eq__(other)
+
+    def __hash__(self) -> int:
+        return _HASH
+
+
+_shared_flags: list[SharedFlags] = []
+_HASH = hash(Flags())  # the same for all options
+
+
+class _FunctionFlags(Flags):
+    """The compiler options of one function, for which numba looks up implementations."""
+
+    __slots__ = ()
+
+    def copy(self) -> Flags:
+        """Return the shared object with these options. Numba compiles with a copy."""
+        return SharedFlags.equal_to(self)
+
+
+_NEEDLESS = {
+    untyped_passes.WithLifting,
+    untyped_passes.InlineClosureLikes,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.FindLiterallyCalls,
+    untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass,
+    typed_passes.InlineOverloads,
+    typed_passes.DumpParforDiagnostics,
+}
+"""Numba's passes for parts of Python that kernels do not use: `with`, closures, and `literally`.
+
+Most of them search each function for what they translate, and then analyse it again.
+"""
+
+
+class _QuickCompiler(Compiler):
+    """Numba's compiler with fewer passes, and with a chosen class of code library."""
+
+    library: type[Any] = JITCodeLibrary
+
+    def __init__(
+        self,
+        typingctx: Any,
+        targetctx: Any,
+        library: Any,
+        args: Any,
+        return_type: Any,
+        flags: Flags,
+        locals: Any,
+    ) -> None:
+        own = _FunctionFlags()
+        own._values = flags._values.copy()
+        super().__init__(typingctx, targetctx, library, args, return_type, own, locals)
+
+    def define_pipelines(self) -> Any:
+        """Select the code library, and return those of Numba's compiler passes that are needed."""
+        _use_library(self.state, self.library)
+        managers = super().define_pipelines()
+        constants = self.state.func_id.code.co_consts
+        if not any(isinstance(constant, CodeType) for constant in constants):  # no closures
+            for manager in managers:
+                manager.passes = [each for each in manager.passes if each[0] not in _NEEDLESS]
+                manager.finalize()
+        return managers
+
+
+class PartCompiler(_QuickCompiler):
     """Numba's compiler with settings for functions that are parts of kernels."""
 
-    def define_pipelines(self) -> Any:
-        """Select the code library, and return Numba's own compiler passes."""
-        _use_library(self.state, PartLibrary)
-        return super().define_pipelines()
+    library = PartLibrary
 
 
-class KernelCompiler(Compiler):
+class KernelCompiler(_QuickCompiler):
     """Numba's compiler with settings for kernels, the functions that Python calls."""
 
-    def define_pipelines(self) -> Any:
-        """Select the code library, and return Numba's own compiler passes."""
-        _use_library(self.state, KernelLibrary)
-        return super().define_pipelines()
+    library = KernelLibrary
 
 
 def _use_library(state: Any, library: type[Any]) -> None:

@@ -14,7 +14,12 @@ from tetractl.tools.kernels.kernel_compiler import KernelCompiler, PartCompiler
 FAST = {"arcp", "nsz"}
 VECTOR = 8
 """Number of float64 in the widest vector of any processor, and in a cache line."""
-_COMMON: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_COMMON: Any = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+    "_nrt": True,  # count references to arrays: a kernel that creates arrays needs this
+}
 _PART: Any = _COMMON | {
     "forceinline": False,
     "no_cpython_wrapper": True,
@@ -22,19 +27,25 @@ _PART: Any = _COMMON | {
 }
 _INLINE: Any = _PART | {"forceinline": True}
 _ENTRY: Any = _COMMON | {"pipeline_class": KernelCompiler}
-PART_FAST: Any = _PART | {"fastmath": FAST}
+_UNCOUNTED = {"_nrt": False}
+"""Do not count references to arrays, which would take a fifth of a search's time.
+
+Such kernels and their parts cannot create arrays: Python passes the arrays that they fill. All
+functions of a kernel that pass on arrays need the same option.
+"""
+PART_FAST: Any = _PART | _UNCOUNTED | {"fastmath": FAST}
 """For parts that a kernel calls from several places, and that take longer than a call.
 
 Inlining may change the last bits: with "arcp", the compiler may replace a division by a product
 where it sees more of the program. If the options of a part change, compare digests of trials.
 """
-INLINE_FAST: Any = _INLINE | {"fastmath": FAST}
+INLINE_FAST: Any = _INLINE | _UNCOUNTED | {"fastmath": FAST}
 """For parts that are inlined at each call: a call would cost as much as they do.
 
 Loops become vector code only if all that they call is inlined.
 """
-ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
-"""For kernels, which Python calls."""
+ENTRY_FAST: Any = _ENTRY | _UNCOUNTED | {"fastmath": FAST}
+"""For kernels, which Python calls. They create no arrays: Python passes those that they fill."""
 INLINE_EXACT: Any = _INLINE | {"fastmath": False}
 ENTRY: Any = _ENTRY | {"fastmath": False}
 """The same for kernels that compute the same bits as their reference implementations.

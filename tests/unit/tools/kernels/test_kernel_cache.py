@@ -40,7 +40,7 @@ from dataclasses import astuple
 from pathlib import Path
 import numpy as np
 from tetractl.control.estimation.estimator import StateEstimator
-from tetractl.control.estimation.kernels.filter import follow, place
+from tetractl.control.estimation.kernels.filter import _follow, place
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.spec.load import load_spec
@@ -61,7 +61,7 @@ for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
     digest.update(known.add_step(seen, command, frames[:-1]).poses.array().tobytes())
     command = plant.send(Steer(float(u)))
     digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(known.estimate)))
-hits = [sum(kernel.stats.cache_hits.values()) for kernel in (follow, place)]
+hits = [sum(kernel.stats.cache_hits.values()) for kernel in (_follow, place)]
 print(sum(hits), digest.hexdigest())
 """
 

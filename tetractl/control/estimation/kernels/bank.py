@@ -39,11 +39,18 @@ from tetractl.control.estimation.kernels.filter_state import (
     SIDE,
     SWING,
     TURN_BIAS,
+    Bank,
+    CommonTimes,
+    FilterModel,
+    Forecast,
+    NextFilters,
+    SentCommands,
     X,
     Y,
     largest_square_sum,
 )
 from tetractl.control.search.kernels.elementary import exp, log
+from tetractl.core.poses import Floats
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
@@ -60,8 +67,7 @@ LEAST = 1e-300
 _largest_square_sum = inlined(largest_square_sum)
 
 
-@compiled(**ENTRY_FAST)
-def share(bank, common):
+def share(bank: Bank, common: CommonTimes) -> None:
     """Compute the shared score of each filter: its ln probability given all robots' frames.
 
     Args:
@@ -69,9 +75,21 @@ def share(bank, common):
         common: The `CommonTimes` that the robots may share.
     """
     filters, robots = bank.score.shape
+    _share(bank, common, np.empty((common.ln_prior.size, robots)), np.empty(filters))
+
+
+@compiled(**ENTRY_FAST)
+def _share(bank, common, ln_of_others, density):
+    """Compute the shared scores; see `share`.
+
+    Args:
+        bank: The filters.
+        common: The `CommonTimes`.
+        ln_of_others: A working array: ln of what the other robots tell of each time, shape (T, N).
+        density: A working array, shape (B,).
+    """
+    filters, robots = bank.score.shape
     times = common.ln_prior.size
-    ln_of_others = np.empty((times, robots))  # ln of what the other robots tell of each time
-    density = np.empty(filters)
     for i in range(robots):
         for b in range(filters):
             density[b] = exp(bank.score[b, i])
@@ -135,8 +153,7 @@ def _dead_time(bank, i, best, density):
     return mean_s, math.sqrt(variance + np.square(bank.step_s[0, i] / 4))
 
 
-@compiled(**ENTRY_FAST)
-def select(bank, tried, same, commanded, going_on):
+def select(bank: Bank, tried: int, same: float, commanded: bool, going_on: NextFilters) -> bool:
     """Choose the filters that continue, by their shared scores.
 
     In each group of a robot's filters, three kinds continue: filters that are not much less likely
@@ -156,8 +173,17 @@ def select(bank, tried, same, commanded, going_on):
     Returns:
         Whether the filters differ from those of the bank.
     """
-    robots = going_on.step_s.size
     chosen = np.empty(going_on.rows.shape[0], np.int64)
+    return _select(bank, tried, same, commanded, going_on, chosen)
+
+
+@compiled(**ENTRY_FAST)
+def _select(bank, tried, same, commanded, going_on, chosen):
+    """Choose the filters that continue; see `select`.
+
+    `chosen` is a working array for the indices of one robot's filters.
+    """
+    robots = going_on.step_s.size
     changed = False
     for i in range(robots):
         count = _count(bank, i)
@@ -360,8 +386,14 @@ def _between(bank, i, chosen, group, time_s):
     return nearest, score
 
 
-@compiled(**ENTRY_FAST)
-def forecast(bank, model, commands, frame_s, sent_s, room):
+def forecast(
+    bank: Bank,
+    model: FilterModel,
+    commands: SentCommands,
+    frame_s: Floats,
+    sent_s: float,
+    room: Forecast,
+) -> tuple[float, float]:
     """Predict where each robot will be, from its most probable filter, into a `Forecast`.
 
     Poses are predicted from the last frame, through all commands, to the moment when a command that
@@ -380,9 +412,18 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
     Returns:
         The mean of the dead times [s] and their standard deviation [s].
     """
-    filters, robots = bank.shared_score.shape
-    density = np.empty(filters)
+    density = np.empty(len(bank.shared_score))
     z = np.empty(bank.state.shape[3])
+    return _forecast(bank, model, commands, frame_s, sent_s, room, density, z)
+
+
+@compiled(**ENTRY_FAST)
+def _forecast(bank, model, commands, frame_s, sent_s, room, density, z):
+    """Predict where each robot will be; see `forecast`.
+
+    `density` (B,) and `z` (STATES,) are working arrays.
+    """
+    filters, robots = bank.shared_score.shape
     mean_s = 0.0
     variance = 0.0
     for i in range(robots):

@@ -53,13 +53,18 @@ from tetractl.control.estimation.kernels.filter_state import (
     MARKER_BIAS,
     POSITIONS,
     TURN_BIAS,
+    Bank,
+    FilterModel,
     FilterScratch,
     Hypotheses,
+    PoseFrames,
+    SentCommands,
     X,
     Y,
 )
 from tetractl.control.search.kernels.elementary import cos, exp, log, sin
 from tetractl.core import elementary
+from tetractl.core.poses import Floats
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
@@ -173,8 +178,14 @@ def _number_sent_by(commands, time_s):
 # ---- from frame to frame ----
 
 
-@compiled(**ENTRY_FAST)
-def follow(bank, model, commands, frames, noisy, step_s):
+def follow(
+    bank: Bank,
+    model: FilterModel,
+    commands: SentCommands,
+    frames: PoseFrames,
+    noisy: bool,
+    step_s: float,
+) -> Floats:
     """Advance every filter through some frames.
 
     The filters start at the first frame, whose poses they already know. A pose is used for an
@@ -193,9 +204,19 @@ def follow(bank, model, commands, frames, noisy, step_s):
     Returns:
         The ln of the likelihood of each robot's poses by each of its filters (B, N).
     """
+    ln_likelihoods = np.zeros(bank.dead_time_s.shape)
+    scratch = FilterScratch.room_for(bank)
+    _follow(bank, model, commands, frames, noisy, step_s, scratch, ln_likelihoods)
+    return ln_likelihoods
+
+
+@compiled(**ENTRY_FAST)
+def _follow(bank, model, commands, frames, noisy, step_s, scratch, ln_likelihoods):
+    """Advance every filter through some frames; see `follow`.
+
+    The ln of the likelihoods is added to `ln_likelihoods`, shape (B, N).
+    """
     filters, robots = bank.dead_time_s.shape
-    ln_likelihoods = np.zeros((filters, robots))
-    scratch = _scratch(bank.cov.shape[4])
     for f in range(1, frames.time_s.shape[0]):
         frozen = _is_frozen(bank, model, commands, frames, f)
         for i in range(robots):
@@ -217,7 +238,6 @@ def follow(bank, model, commands, frames, noisy, step_s):
                     bank.score[b, i] += ln_likelihood
                 _exchange_stuck(_hypotheses(bank, b, i), model, seconds, now_s)
             _relate_scores(bank, i)
-    return ln_likelihoods
 
 
 @compiled(**INLINE_FAST)
@@ -275,7 +295,7 @@ def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
         now_s = next_s
         if acts:
             u = commands.directions[bank.next_command[b, i]]
-            _branch(hypotheses, model, i, u, now_s, step_s)
+            _branch(hypotheses, model, i, u, now_s, step_s, scratch)
             bank.next_command[b, i] += 1
 
 
@@ -308,7 +328,7 @@ def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
 
 
 @compiled(**INLINE_FAST)
-def _branch(hypotheses, model, i, u, now_s, step_s):
+def _branch(hypotheses, model, i, u, now_s, step_s, scratch):
     """Split hypotheses when a command to follow u acts: the robot received it, or missed it.
 
     A controller has little time, and a command is rarely missed, so it branches only the likeliest
@@ -316,7 +336,7 @@ def _branch(hypotheses, model, i, u, now_s, step_s):
     so soon after each other that no frame in between shows which of them the robot received.
     """
     if model.branch_all:
-        _branch_all(hypotheses, model, i, u, now_s, step_s)
+        _branch_all(hypotheses, model, i, u, now_s, step_s, scratch)
     else:
         _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
 
@@ -356,7 +376,7 @@ def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
 
 
 @compiled(**INLINE_FAST)
-def _branch_all(hypotheses, model, i, u, now_s, step_s):
+def _branch_all(hypotheses, model, i, u, now_s, step_s, scratch):
     """Split each hypothesis when a command to follow u acts, and keep the likeliest ones.
 
     Each hypothesis so far is the *parent* of two branches: command received, command missed. The
@@ -365,15 +385,15 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
     left, the remaining branches are dropped.
     """
     driving = hypotheses.ln_weight.size - 1
-    parents = Hypotheses(
-        state=hypotheses.state[:driving].copy(),
-        cov=hypotheses.cov[:driving].copy(),
-        direction=hypotheses.direction[:driving].copy(),
-        until_s=hypotheses.until_s[:driving].copy(),
-        ln_weight=hypotheses.ln_weight[:driving].copy(),
-    )
-    ln_branches = _ln_branches(parents, u)
-    parent_of = np.empty(driving, np.int64)  # the parent of the branch in each slot taken
+    parents = scratch.parents
+    for s in range(driving):
+        _copy_state(hypotheses, s, parents, s)
+        parents.direction[s] = hypotheses.direction[s]
+        parents.until_s[s] = hypotheses.until_s[s]
+        parents.ln_weight[s] = hypotheses.ln_weight[s]
+    ln_branches = scratch.ln_branches
+    _fill_ln_branches(parents, u, ln_branches)
+    parent_of = scratch.parent_of
     for s in range(driving):
         hypotheses.ln_weight[s] = -math.inf
     taken = 0  # number of slots taken, from the first on
@@ -403,24 +423,21 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
 
 
 @compiled(**INLINE_FAST)
-def _ln_branches(parents, u):
-    """Compute the ln of the probabilities of each parent's branches: (2, S), rows HEARD and MISSED.
+def _fill_ln_branches(parents, u, ln_branches):
+    """Fill the ln of the probabilities of each parent's branches: (2, S), rows HEARD and MISSED.
 
         w_heard = w + ln(1 - lost),    w_missed = w + ln(lost).
 
     For a parent that already follows u, both branches are the same. It continues as HEARD, with its
     whole probability.
     """
-    number = parents.ln_weight.size
-    ln_branches = np.empty((2, number))
-    for s in range(number):
+    for s in range(parents.ln_weight.size):
         if parents.direction[s] == u:
             ln_branches[HEARD, s] = parents.ln_weight[s]
             ln_branches[MISSED, s] = -math.inf
         else:
             ln_branches[HEARD, s] = parents.ln_weight[s] + LN_HEARD
             ln_branches[MISSED, s] = parents.ln_weight[s] + LN_MISSED
-    return ln_branches
 
 
 @compiled(**INLINE_FAST)
@@ -761,19 +778,3 @@ def _least_likely(ln, count):
         if ln[s] < ln[least]:
             least = s
     return least
-
-
-@compiled(**INLINE_FAST)
-def _scratch(states):
-    """Create the working arrays of a filter with `states` states that have a variance."""
-    return FilterScratch(
-        jacobian=np.eye(states),
-        product=np.empty((states, states)),
-        p_h=np.empty(states),
-        expected=np.empty(3),
-        off=np.empty(3),
-        variance=np.empty(3),
-        slopes=np.zeros((3, states)),
-        innovation=np.zeros(3),
-        likeliest_innovation=np.zeros(3),
-    )

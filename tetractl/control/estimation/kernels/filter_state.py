@@ -367,6 +367,38 @@ class FilterScratch(NamedTuple):
     """The innovation of the hypothesis that was updated last, shape (3,)."""
     likeliest_innovation: Floats
     """The innovation of the likeliest hypothesis, shape (3,)."""
+    parents: Hypotheses
+    """The S - 1 hypotheses that drive, as they are before a command splits all of them."""
+    ln_branches: Floats
+    """ln of the probabilities of their branches: command received, or missed, shape (2, S - 1)."""
+    parent_of: NDArray[np.int64]
+    """Index of the parent whose branch is in each slot, shape (S - 1,)."""
+
+    @classmethod
+    def room_for(cls, bank: Bank) -> Self:
+        """Create working arrays for the filters of a bank."""
+        driving = bank.ln_weight.shape[2] - 1
+        states = bank.cov.shape[4]
+        return cls(
+            jacobian=np.eye(states),
+            product=np.empty((states, states)),
+            p_h=np.empty(states),
+            expected=np.empty(3),
+            off=np.empty(3),
+            variance=np.empty(3),
+            slopes=np.zeros((3, states)),
+            innovation=np.zeros(3),
+            likeliest_innovation=np.zeros(3),
+            parents=Hypotheses(
+                state=np.empty((driving, STATES)),
+                cov=np.empty((driving, states, states)),
+                direction=np.empty(driving),
+                until_s=np.empty(driving),
+                ln_weight=np.empty(driving),
+            ),
+            ln_branches=np.empty((2, driving)),
+            parent_of=np.empty(driving, np.int64),
+        )
 
 
 class CommonTimes(NamedTuple):

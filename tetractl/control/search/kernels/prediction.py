@@ -15,7 +15,8 @@ import numpy as np
 
 from tetractl.control.search.kernels.clearance import crosses
 from tetractl.control.search.kernels.elementary import cos, sin
-from tetractl.control.search.kernels.motion import derivatives, robot_of
+from tetractl.control.search.kernels.motion import FlatProblem, derivatives, robot_of
+from tetractl.core.poses import Floats
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
@@ -24,8 +25,7 @@ Y = 1
 HEADING = 2
 
 
-@compiled(**ENTRY_FAST)
-def predict(u, problem, start):
+def predict(u: Floats, problem: FlatProblem, start: Floats) -> Floats:
     """Predict the path of robots that follow a sequence of signals.
 
     Args:
@@ -36,8 +36,15 @@ def predict(u, problem, start):
     Returns:
         The poses, shape (L + 1, N, 3). The first row is the start.
     """
+    path = np.empty((u.size + 1, *start.shape))
+    _predict(u, problem, start, path)
+    return path
+
+
+@compiled(**ENTRY_FAST)
+def _predict(u, problem, start, path):
+    """Predict the `path` of robots that follow the signals u; see `predict`."""
     robots = len(problem.robots)
-    path = np.empty((u.size + 1, robots, 3))
     for i in range(robots):
         path[0, i, X] = start[i, X]
         path[0, i, Y] = start[i, Y]
@@ -49,11 +56,9 @@ def predict(u, problem, start):
             path[j + 1, i, X] = x
             path[j + 1, i, Y] = y
             path[j + 1, i, HEADING] = heading
-    return path
 
 
-@compiled(**ENTRY_FAST)
-def drive(towards, seconds, problem):
+def drive(towards: Floats, seconds: Floats, problem: FlatProblem) -> Floats:
     """Predict the poses of robots that each keep a direction of their own.
 
     Args:
@@ -64,15 +69,21 @@ def drive(towards, seconds, problem):
     Returns:
         The poses, shape (M, N, 3).
     """
+    path = np.empty((seconds.size, *problem.poses.shape))
+    _drive(towards, seconds, problem, path)
+    return path
+
+
+@compiled(**ENTRY_FAST)
+def _drive(towards, seconds, problem, path):
+    """Predict the `path` of robots that each keep a direction of their own; see `drive`."""
     robots = len(problem.robots)
-    path = np.empty((seconds.size, robots, 3))
     for m in range(seconds.size):
         for i in range(robots):
             x, y, heading = _moved(problem, i, problem.poses[i], towards[i], seconds[m])
             path[m, i, X] = x
             path[m, i, Y] = y
             path[m, i, HEADING] = heading
-    return path
 
 
 @compiled(**INLINE_FAST)

@@ -50,4 +50,4 @@ OPTIONS = ["INLINE_EXACT", "ENTRY", "PART_FAST", "INLINE_FAST", "ENTRY_FAST"]
 @pytest.mark.parametrize("name", OPTIONS)
 def test_no_kernel_inherits_the_options_of_its_first_caller(name):
     """Regression: compiled after a fast caller, `gaps` was fast too, and its last bits differed."""
-    assert {"fastmath", "error_model", "nogil"} <= vars(options)[name].keys()
+    assert {"fastmath", "error_model", "nogil", "_nrt"} <= vars(options)[name].keys()

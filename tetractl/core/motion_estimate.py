@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats
 
 STANDS_PROBABILITY = 0.9
@@ -29,6 +30,33 @@ LAG_ERROR_S = 0.02
 
 docs/decisions/plant.md shows what such an error costs.
 """
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionErrors:
+    """How far N robots have lately been from where the model predicted them.
+
+    Attributes:
+        ahead_s: Time over which they were predicted, at most [s].
+        mean: Mean deviations of a robot from its prediction, shape (N, 3), in the order of
+            INNOVATIONS: ahead of it and to the left of it [length unit], and turned to the left of
+            it [rad].
+        rms: Root mean squares of the same deviations, shape (N, 3).
+        late_s: By how much a robot turns later than predicted [s], shape (N,). NaN if that does not
+            explain the deviations of its heading.
+        more: Fraction by which a robot turns more than predicted, shape (N,). NaN likewise.
+    """
+
+    ahead_s: float
+    mean: Floats
+    rms: Floats
+    late_s: Floats
+    more: Floats
+
+    @property
+    def distances(self) -> Floats:
+        """Root mean square of the distance of each robot from its prediction, shape (N,)."""
+        return elementwise.hypot(self.rms[:, 0], self.rms[:, 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +81,8 @@ class Estimate:
             It may be stuck; a cell may also rest, or back off and turn.
         lag: Time constant with which the wheels of each robot follow commands [s], shape (N,).
         own_dead_time: Dead time of each robot [s], shape (N,). Logs do not contain it.
+        predictions: How far predictions have been off lately. None if the model has always fitted.
+            Logs do not contain it.
 
     To add a quantity to the filters, add a field here and to `Forecast`
     (`control/estimation/kernels/filter_state`), and compute it in `kernels/bank` and its oracle. To
@@ -77,6 +107,7 @@ class Estimate:
     lag_std: Floats | None = None
     own_dead_time: Floats | None = field(default=None, compare=False)
     own_dead_time_std: Floats | None = field(default=None, compare=False)
+    predictions: PredictionErrors | None = field(default=None, compare=False)
 
     @property
     def common_lag(self) -> float | None:
@@ -98,6 +129,11 @@ class Estimate:
         return [
             name for name, p in zip(names, probabilities, strict=False) if p > STANDS_PROBABILITY
         ]
+
+    @property
+    def fits(self) -> bool:
+        """Whether the model explains all parts of the motion, or the fit is not tested."""
+        return self.misfit is None or bool((self.misfit <= 1).all())
 
     def unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
         """List the parts of the motion that the model fails to explain, as "heading of red".

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.errors import WrongValueError, text_of
 from tetractl.core.loggable import check_actions, check_plan, stop_reason
-from tetractl.core.motion_estimate import Estimate
+from tetractl.core.motion_estimate import Estimate, PredictionErrors
 from tetractl.core.plan import Decision, End, Outcome, Plan, Search, State, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -164,10 +164,11 @@ def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 _CONVERT: Mapping[Any, Callable[[Any], Any]] = {
-    Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
+    Floats: _array, float: float, int: index, str: str, State: State, Outcome: _outcome,
     Floats | None: _or_none(_array), float | None: _or_none(float),
     StopReason | str: stop_reason,
     tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),
     Estimate | None: _or_none(lambda estimate: _made(Estimate, estimate)),
+    PredictionErrors | None: _or_none(lambda errors: _made(PredictionErrors, errors)),
     Turn | Stop | FieldOff | None: _instead, Mapping[str, float]: _numbers,
 }  # fmt: skip

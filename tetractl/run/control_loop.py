@@ -282,7 +282,7 @@ class EstimateMonitor(Protocol):
     """Reports what is new in a controller's estimates, from one estimate to the next."""
 
     def notices(
-        self, estimate: Estimate, setup: Setup, now_ns: int
+        self, estimate: Estimate, setup: Setup, now_ns: int, frame: Observation
     ) -> Sequence[tuple[Literal["info", "warning"], str]]:
         """Return level and text of each message that a new estimate gives rise to.
 
@@ -290,6 +290,7 @@ class EstimateMonitor(Protocol):
             estimate: The newest estimate of the robots' motion.
             setup: The constants of the experiment.
             now_ns: Time of the estimate [ns].
+            frame: The newest camera frame.
         """
         ...
 
@@ -372,7 +373,7 @@ class Trial:
                 return LoopEnd(decision)
             if isinstance(decision, End):
                 self._sleep_until(self._clock.now() + decision.delay_ns)
-                return LoopEnd(decision.outcome)
+                return LoopEnd(decision.outcome, decision.reason)
             command = self._carry_out(k, observation, decision, solve_ns)
             due_ns = self._pacing.finish(k, decision.pauses)
             if not self._interrupt.requested:
@@ -418,7 +419,8 @@ class Trial:
         for observer in self._observers:
             observer.on_step(step)
         if plan.estimate is not None and self._model is not None:
-            news = self._model.notices(plan.estimate, self._start.setup, command.sent_ns)
+            setup = self._start.setup
+            news = self._model.notices(plan.estimate, setup, command.sent_ns, observation)
             for level, text in news:  # where the controller's model does not fit, or fits again
                 self._report(command.sent_ns, text, level)
         return command

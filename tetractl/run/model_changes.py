@@ -3,18 +3,27 @@
 A controller estimates how the robots move (`tetractl.core.motion_estimate`). `ModelMonitor` reads
 each estimate and reports, once a trial each: robots that stand although they are driven, motion
 that the model does not explain, robots on which commands act late, and values of the spec that the
-estimates contradict, such as the lag of the wheels. When the model fits again, it reports what has
-changed in the meantime.
+estimates contradict, such as the lag of the wheels. Each message describes what was observed. None
+names a cause, because the same motion can have several. While the model does not fit, lags and late
+robots are not reported, because they may be the best values of a wrong model.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import Literal, NamedTuple
 
 from tetractl.core.clock import SECOND
 from tetractl.core.elementary import exp, expm1, hypot
-from tetractl.core.motion_estimate import LAG_ERROR_S, OF_PLACES, OF_TURNING, Estimate
-from tetractl.core.poses import Floats
+from tetractl.core.motion_estimate import (
+    INNOVATIONS,
+    LAG_ERROR_S,
+    OF_PLACES,
+    OF_TURNING,
+    Estimate,
+    PredictionErrors,
+)
+from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabSection
@@ -34,6 +43,19 @@ docs/decisions/filter.md."""
 LATE_ROBOT_FOR_S = 2.0
 """Time for which that difference must last before it is reported [s]. While the filter starts its
 bank of hypotheses again, the dead times differ for a moment."""
+STANDS_FOR_S = 0.15
+"""Minimum time for which a robot has to stand before that is reported [s]."""
+STANDS_FRACTION = 0.1
+"""Maximum way in this time, as a fraction of the way that the robot would drive; chosen."""
+ONE_SIDED = 0.5
+"""Minimum mean of the deviations that have a direction, as a fraction of their root mean square;
+chosen."""
+DIRECTIONS = {
+    "along-track motion": ("ahead", "behind"),
+    "cross-track motion": ("to the left", "to the right"),
+    "heading": ("to the left", "to the right"),
+}
+"""The directions of a positive and of a negative deviation, for each of INNOVATIONS."""
 DEAD_TIME = "controller.dead_time"
 LATENCY = "lab.camera.latency"
 HOST_DELAY = "the host's delay (plant.drive.lead, lab.actuator.delay)"
@@ -105,8 +127,8 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
         return ""
     delays = " or ".join(stated.delays)
     return (
-        f"commands act {estimated_s:.3f} s after they are sent, but the spec says "
-        f"{stated.dead_time_s:.3f} s: is {delays} wrong?"
+        f"the controller estimates that commands act {estimated_s:.3f} s after they are sent; the "
+        f"spec says {stated.dead_time_s:.3f} s: is {delays} wrong?"
     )
 
 
@@ -149,56 +171,54 @@ def describe_turning(estimate: Estimate, robot: int) -> str:
     return ", ".join(parts)
 
 
-def differs(
-    value: float | None, std: float | None, value_before: float | None, std_before: float | None
-) -> bool:
-    """Check whether two estimates differ by more than CHANGE_STDS of their difference.
+def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: str) -> str:
+    """Describe how far and in which direction a robot deviates from its prediction.
 
     Args:
-        value: The newer estimate; None if it is unknown.
-        std: Its standard deviation; None if it is unknown.
-        value_before: The older estimate; None if it is unknown.
-        std_before: Its standard deviation; None if it is unknown.
+        errors: The deviations of all robots.
+        part: The part of the motion, one of INNOVATIONS.
+        robot: Index of the robot.
+        unit: The spec's length unit.
+    """
+    column = INNOVATIONS.index(part)
+    late_s = errors.late_s[robot]
+    more = errors.more[robot]
+    if part in OF_TURNING and not isnan(late_s):
+        return f"turns about {abs(late_s):.2f} s {'later' if late_s > 0 else 'earlier'}"
+    if part in OF_TURNING and not isnan(more):
+        return f"turns about {100 * abs(more):.0f} % {'more' if more > 0 else 'less'}"
+    mean = errors.mean[robot, column]
+    rms = errors.rms[robot, column]
+    directions = DIRECTIONS[part]
+    if abs(mean) < ONE_SIDED * rms:
+        direction = " or ".join(directions)
+    else:
+        direction = directions[0] if mean > 0 else directions[1]
+    size = f"{rms:.2f} rad" if part in OF_TURNING else f"{rms:.2g} {unit}"
+    return f"after {errors.ahead_s:g} s, about {size} {direction}"
+
+
+def describe_unexplained(estimate: Estimate, setup: Setup, parts: Sequence[str]) -> dict[str, str]:
+    """List the parts of the motion that the model fails to explain, with their deviations.
+
+    Args:
+        estimate: The estimate.
+        setup: The robots.
+        parts: The parts to consider: OF_TURNING or OF_PLACES.
 
     Returns:
-        True if they differ, False if they do not or if any of the four is unknown.
+        A description of the deviation in brackets for each part, such as "heading of red". It is
+        empty if the deviation is not known yet.
     """
-    if value is None or std is None or value_before is None or std_before is None:
-        return False
-    return abs(value - value_before) > CHANGE_STDS * hypot(std, std_before)
-
-
-def _of_robot(values: Floats | None, robot: int) -> float | None:
-    """Return the value of one robot, or None if the quantity is not estimated."""
-    return None if values is None else float(values[robot])
-
-
-def describe_changes(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
-    """Yield a description of each quantity of an estimate that has changed significantly.
-
-    Args:
-        estimate: The newer estimate.
-        before: The older estimate.
-        setup: The robots, whose names and units the descriptions use.
-    """
-    time_s = estimate.dead_time
-    before_s = before.dead_time
-    if differs(time_s, estimate.dead_time_std, before_s, before.dead_time_std):
-        yield f"commands act {time_s:.3f} s after they are sent, not {before_s:.3f} s"
-    for i, name in enumerate(setup.names):
-        if differs(estimate.a[i], estimate.a_std[i], before.a[i], before.a_std[i]):
-            yield f"a of {name} is {estimate.a[i]:.3g} rad/s, not {before.a[i]:.3g}"
-        if differs(estimate.speed[i], estimate.speed_std[i], before.speed[i], before.speed_std[i]):
-            speed = f"{estimate.speed[i]:.3g} {setup.unit}/s"
-            yield f"speed of {name} is {speed}, not {before.speed[i]:.3g}"
-        lag = _of_robot(estimate.lag, i)
-        lag_before = _of_robot(before.lag, i)
-        lag_stds = _of_robot(estimate.lag_std, i), _of_robot(before.lag_std, i)
-        if differs(lag, lag_stds[0], lag_before, lag_stds[1]):
-            yield f"the wheels of {name} follow with a lag of {lag:.2f} s, not {lag_before:.2f} s"
-        turning = describe_turning(estimate, i)
-        if turning and turning != describe_turning(before, i):
-            yield f"{name} {turning}"
+    unexplained = estimate.unexplained(setup.names, parts)
+    descriptions: dict[str, str] = {}
+    for part in parts:
+        for i, name in enumerate(setup.names):
+            if f"{part} of {name}" in unexplained:
+                errors = estimate.predictions
+                deviation = errors and describe_deviation(errors, part, i, setup.unit)
+                descriptions[f"{part} of {name}"] = f" ({deviation})" if deviation else ""
+    return descriptions
 
 
 @dataclass(slots=True)
@@ -206,12 +226,10 @@ class Mismatch:
     """A period in which the model does not explain the robots' turning.
 
     Attributes:
-        before: The estimate when the period began.
         last_seen_ns: Time of the last estimate with an unexplained part [ns].
         parts: The parts that were unexplained so far, such as "heading of red".
     """
 
-    before: Estimate
     last_seen_ns: int
     parts: set[str]
 
@@ -219,6 +237,14 @@ class Mismatch:
 def model_monitor(experiment: Experiment) -> "ModelMonitor":
     """Create the monitor that compares the estimates of a trial with the values in its spec."""
     return ModelMonitor(stated_model(experiment))
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """A robot that seems to stand still: since when, and where [length unit], shape (2,)."""
+
+    since_ns: int
+    xy: Floats
 
 
 class ModelMonitor:
@@ -236,36 +262,42 @@ class ModelMonitor:
         self._stated = stated
         self._reported: set[str] = set()
         self._late_since_ns: dict[str, int] = {}  # by the name of each robot that is late now
+        self._standing: dict[str, Standing] = {}  # by the name of each robot that seems to stand
         self._mismatch: Mismatch | None = None
 
-    def notices(self, estimate: Estimate, setup: Setup, now_ns: int) -> list[Notice]:
+    def notices(
+        self, estimate: Estimate, setup: Setup, now_ns: int, frame: Observation
+    ) -> list[Notice]:
         """Collect the notices that an estimate gives rise to, and remember them as reported.
 
         Args:
             estimate: The newest estimate.
             setup: The robots.
             now_ns: Time of the estimate [ns].
+            frame: The newest camera frame.
         """
         notices = list[Notice]()
-        for name in estimate.standing(setup.names):
+        for name in self._standing_robots(estimate, setup, frame):
             text = f"{name} stands still although it is sent a direction"
             self._add_once(notices, Notice("info", text))
-        for part in sorted(estimate.unexplained(setup.names, OF_PLACES)):
-            text = f"{part} is not as predicted, which says nothing of a"
-            self._add_once(notices, Notice("info", text))
-        lag_error = describe_lag_error(estimate, setup)
-        if lag_error:
-            self._add_once(notices, Notice("info", lag_error), key="lag")
-        for name, text in self._late_robots(estimate, setup, now_ns):
-            self._add_once(notices, Notice("warning", text), key=f"late: {name}")
-        unexplained = estimate.unexplained(setup.names, OF_TURNING)
+        for part, deviation in describe_unexplained(estimate, setup, OF_PLACES).items():
+            notice = Notice("info", f"{part} is not as predicted{deviation}")
+            self._add_once(notices, notice, key=part)
+        unexplained = describe_unexplained(estimate, setup, OF_TURNING)
         if self._stated is not None and self._stated.lacks_noise:
             if unexplained:
                 self._add_once(notices, Notice("warning", NOISE_UNSTATED))
         elif unexplained:
             self._note_mismatch(notices, unexplained, estimate, now_ns)
         else:
-            self._note_fit(notices, estimate, setup, now_ns)
+            self._note_fit(notices, now_ns)
+        late_robots = self._late_robots(estimate, setup, now_ns)
+        lag_error = describe_lag_error(estimate, setup)
+        if self._mismatch is None:
+            if lag_error:
+                self._add_once(notices, Notice("info", lag_error), key="lag")
+            for name, text in late_robots:
+                self._add_once(notices, Notice("warning", text), key=f"late: {name}")
         return notices
 
     def _add_once(self, notices: list[Notice], notice: Notice, key: str = "") -> None:
@@ -277,6 +309,28 @@ class ModelMonitor:
         if key not in self._reported:
             self._reported.add(key)
             notices.append(notice)
+
+    def _standing_robots(
+        self, estimate: Estimate, setup: Setup, frame: Observation
+    ) -> Iterator[str]:
+        """Yield the robots that stand by the filters, and that do not move in the frames.
+
+        The filters alone do not suffice: if their model is wrong, the likeliest of their hypotheses
+        may be that a robot stands still although it drives.
+        """
+        before = self._standing
+        self._standing = {}
+        names = estimate.standing(setup.names)
+        for i, name in enumerate(setup.names):
+            if name not in names or not frame.valid[i]:
+                continue
+            xy = frame.poses.xy[i]
+            standing = before.get(name, Standing(frame.sampled_ns, xy))
+            self._standing[name] = standing
+            seconds = (frame.sampled_ns - standing.since_ns) / SECOND
+            way_max = STANDS_FRACTION * setup.speed[i] * seconds
+            if seconds >= STANDS_FOR_S and hypot(*(xy - standing.xy)) <= way_max:
+                yield name
 
     def _late_robots(self, estimate: Estimate, setup: Setup, now_ns: int) -> list[tuple[str, str]]:
         """List the robots that have been later than the quickest one for LATE_ROBOT_FOR_S.
@@ -301,40 +355,36 @@ class ModelMonitor:
             if now_ns - self._late_since_ns[name] >= LATE_ROBOT_FOR_S * SECOND:
                 text = (
                     f"commands act on {name} about {difference_s:.2f} s later than on "
-                    f"{setup.names[quickest]}, or even later: its radio or its wheels are "
-                    "slow"
+                    f"{setup.names[quickest]}, or even later"
                 )
                 late.append((name, text))
         return late
 
     def _note_mismatch(
-        self, notices: list[Notice], unexplained: set[str], estimate: Estimate, now_ns: int
+        self,
+        notices: list[Notice],
+        unexplained: Mapping[str, str],
+        estimate: Estimate,
+        now_ns: int,
     ) -> None:
         """Record that the model does not fit now, and add notices of what is new about that."""
         if self._mismatch is None:
-            self._mismatch = Mismatch(estimate, now_ns, set())
+            self._mismatch = Mismatch(now_ns, set())
         self._mismatch.last_seen_ns = now_ns
-        new_parts = unexplained - self._mismatch.parts
+        new_parts = unexplained.keys() - self._mismatch.parts
         if new_parts:
             self._mismatch.parts |= new_parts
-            text = f"the model does not fit: {', '.join(sorted(new_parts))}"
-            notices.append(Notice("warning", text))
+            parts = ", ".join(part + unexplained[part] for part in sorted(new_parts))
+            notices.append(Notice("warning", f"the model does not fit: {parts}"))
         if self._stated is not None:
             error = describe_dead_time_error(estimate, self._stated)
             if error:
                 self._add_once(notices, Notice("warning", error), key="dead time")
 
-    def _note_fit(
-        self, notices: list[Notice], estimate: Estimate, setup: Setup, now_ns: int
-    ) -> None:
-        """Record that the model fits now.
-
-        Once a mismatch is over, add a notice of what has changed.
-        """
+    def _note_fit(self, notices: list[Notice], now_ns: int) -> None:
+        """Record that the model fits now, and add a notice once a mismatch is over."""
         mismatch = self._mismatch
         if mismatch is None or now_ns - mismatch.last_seen_ns < FITS_AGAIN_AFTER_S * SECOND:
             return
-        changes = "; ".join(describe_changes(estimate, mismatch.before, setup))
-        text = f"the model fits again: {changes or 'with the same values'}"
-        notices.append(Notice("info", text))
+        notices.append(Notice("info", "the model fits again"))
         self._mismatch = None

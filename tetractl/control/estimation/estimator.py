@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tetractl.control.estimation.known_motion import KnownForecast, KnownMotion
+from tetractl.control.estimation.prediction_test import PredictionTest, SentStep
 from tetractl.control.estimation.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
@@ -64,6 +65,9 @@ class StateEstimator:
         """
         self._predictor = self.filter or KnownMotion(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
+        self._predictions = PredictionTest(period_s)
+        self._has_misfit = False  # whether the model did not fit at some time
+        self._last_problem: Problem | None = None  # of all robots, in the step before
         self._last_sent_ns: int | None = None
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
@@ -110,6 +114,7 @@ class StateEstimator:
         Raises:
             ControlError: If all robots are lost.
         """
+        self._compare(last_command, observation)
         if last_command is not None:
             self.add_command(last_command)
         self._newest_ns = observation.sampled_ns
@@ -126,6 +131,9 @@ class StateEstimator:
         if isinstance(forecast, KnownForecast):
             return replace(self.problem, poses=forecast.poses).only(self.present)
         estimate = forecast.estimate
+        self._has_misfit |= not estimate.fits
+        if self._has_misfit:
+            estimate = replace(estimate, predictions=self._predictions.errors())
         self.estimate = estimate
         problem = replace(
             self.problem,
@@ -137,7 +145,21 @@ class StateEstimator:
             side=estimate.side,
             saturation=estimate.saturation,
         )
+        self._last_problem = problem
         return problem.only(self.present)
+
+    def _compare(self, last_command: Command | None, observation: Observation) -> None:
+        """Note the previous step. Its prediction is compared with frames if the model misfits.
+
+        Predictions are only compared while all robots drive.
+        """
+        direction = None if last_command is None else last_command.direction
+        if last_command is None or direction is None or self._last_problem is None:
+            self._predictions.clear()
+            return
+        acts_ns = last_command.sent_ns + round(self.dead_time_s * SECOND)
+        step = SentStep(self._last_problem, direction, acts_ns)
+        self._predictions.add_step(step, observation)
 
     def add_command(self, command: Command) -> None:
         """Record a command that was sent to the robots, with the time at which it was sent.

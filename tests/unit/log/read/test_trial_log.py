@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
     [
         ("green is lost", "is it hidden"),
         ("the model does not fit: heading of green", "`tetractl identify` measures"),
-        ("the model fits again: with the same values", ""),
+        ("the model fits again", ""),
         ("green stands still although it is sent a direction", ""),
         ("lost packets", ""),
     ],

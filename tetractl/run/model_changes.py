@@ -4,8 +4,8 @@ A controller estimates how the robots move (`tetractl.core.motion_estimate`). `M
 each estimate and reports, once a trial each: robots that stand although they are driven, motion
 that the model does not explain, robots on which commands act late, and values of the spec that the
 estimates contradict, such as the lag of the wheels. Each message describes what was observed. None
-names a cause, because the same motion can have several. While the model does not fit, lags and late
-robots are not reported, because they may be the best values of a wrong model.
+names a cause, because the same motion can have several. Lags and late robots are reported only if
+the model has fitted for a while, because otherwise they may be the best values of a wrong model.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -126,9 +126,11 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
     if abs(estimated_s - stated.dead_time_s) <= max(DEAD_TIME_ERROR_S, CHANGE_STDS * std_s):
         return ""
     delays = " or ".join(stated.delays)
+    order = "later" if estimated_s > stated.dead_time_s else "earlier"
     return (
-        f"the controller estimates that commands act {estimated_s:.3f} s after they are sent; the "
-        f"spec says {stated.dead_time_s:.3f} s: is {delays} wrong?"
+        f"commands act {order} than {stated.dead_time_s:.3f} s after they are sent, as the spec "
+        f"says: is {delays} wrong? The controller estimates {estimated_s:.3f} s, which is "
+        "uncertain while its model does not fit"
     )
 
 
@@ -184,9 +186,11 @@ def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: st
     late_s = errors.late_s[robot]
     more = errors.more[robot]
     if part in OF_TURNING and not isnan(late_s):
-        return f"turns about {abs(late_s):.2f} s {'later' if late_s > 0 else 'earlier'}"
+        order = "later" if late_s > 0 else "earlier"
+        return f"turns about {abs(late_s):.2f} s {order} than predicted"
     if part in OF_TURNING and not isnan(more):
-        return f"turns about {100 * abs(more):.0f} % {'more' if more > 0 else 'less'}"
+        order = "more" if more > 0 else "less"
+        return f"turns about {100 * abs(more):.0f} % {order} than predicted"
     mean = errors.mean[robot, column]
     rms = errors.rms[robot, column]
     directions = DIRECTIONS[part]
@@ -264,6 +268,8 @@ class ModelMonitor:
         self._late_since_ns: dict[str, int] = {}  # by the name of each robot that is late now
         self._standing: dict[str, Standing] = {}  # by the name of each robot that seems to stand
         self._mismatch: Mismatch | None = None
+        self._began_ns: int | None = None  # when the first estimate was made
+        self._unfit_ns = 0  # when the model did not fit last
 
     def notices(
         self, estimate: Estimate, setup: Setup, now_ns: int, frame: Observation
@@ -293,12 +299,25 @@ class ModelMonitor:
             self._note_fit(notices, now_ns)
         late_robots = self._late_robots(estimate, setup, now_ns)
         lag_error = describe_lag_error(estimate, setup)
-        if self._mismatch is None:
+        if self._has_sound_values(estimate, now_ns):
             if lag_error:
                 self._add_once(notices, Notice("info", lag_error), key="lag")
             for name, text in late_robots:
                 self._add_once(notices, Notice("warning", text), key=f"late: {name}")
         return notices
+
+    def _has_sound_values(self, estimate: Estimate, now_ns: int) -> bool:
+        """Check whether the model has fitted for FITS_AGAIN_AFTER_S.
+
+        It must also have fitted earlier, except for as long at the start, while the filters learn.
+        """
+        enough_ns = FITS_AGAIN_AFTER_S * SECOND
+        if self._began_ns is None:
+            self._began_ns = self._unfit_ns = now_ns
+        if not estimate.fits:
+            self._unfit_ns = now_ns
+        fits_long_enough = now_ns - self._unfit_ns >= enough_ns
+        return fits_long_enough and self._unfit_ns - self._began_ns <= enough_ns
 
     def _add_once(self, notices: list[Notice], notice: Notice, key: str = "") -> None:
         """Add a notice, unless one with the same key was added before in this trial.

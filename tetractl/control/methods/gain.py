@@ -8,7 +8,8 @@ compared with what came:
     promised = least error of all earlier windows - least error that plans have promised
     came     = least error of all earlier windows - least error in the window
 
-If robots have stood still in a window, its least error is the least one at rest.
+Once robots have stood still, only errors at rest count, because a trial ends at rest. A window in
+which they do not stand still then reaches nothing.
 
 A window fails if less than half of the promise came true, and the robots do not follow the model:
 the model did not fit and predictions were far off at some time after the first window. (In the
@@ -62,6 +63,7 @@ class Gain:
         least: Least error in the present window while robots drove.
         least_at_rest: Least error in the present window while they stood still. inf if they did
             not.
+        has_rested: Whether they stood still in an earlier window.
         was_far_off: Whether predictions were far off at some time after the first window.
         has_misfit: Whether the model did not fit at some time after the first window.
         least_before: Least error in all earlier windows. inf in the first one.
@@ -74,6 +76,7 @@ class Gain:
     promised: float = inf
     least: float = inf
     least_at_rest: float = inf
+    has_rested: bool = False
     was_far_off: bool = False
     has_misfit: bool = False
     least_before: float = inf
@@ -119,22 +122,22 @@ class Gain:
         )
         if now_s < self.ends_s:
             return present
+        rests_first = present.least_at_rest < inf and not self.has_rested
         return Gain(
             window_s=self.window_s,
             ends_s=self.ends_s + self.window_s,
+            has_rested=self.has_rested or rests_first,
             was_far_off=present.was_far_off,
             has_misfit=present.has_misfit,
-            least_before=min(present.reached, self.least_before),
+            least_before=min(present.reached, inf if rests_first else self.least_before),
             failed=self.failed + 1 if present.is_failure else 0,
         )
 
     @property
     def reached(self) -> float:
-        """The error that the present window has reached.
-
-        If robots stood still, only the errors at rest count: they are those that a trial ends with.
-        """
-        return self.least if self.least_at_rest == inf else self.least_at_rest
+        """The error that the present window has reached."""
+        stood = self.has_rested or self.least_at_rest < inf
+        return self.least_at_rest if stood else self.least
 
     @property
     def is_failure(self) -> bool:
@@ -147,9 +150,9 @@ class Gain:
     def describe(self, unit: str) -> str:
         """Describe why nothing is expected of new plans, with lengths in `unit`."""
         return (
-            f"driving on gains too little: for {FAILED_MAX * self.window_s:.0f} s, plans have not "
-            f"brought the robots nearer than {self.least_before:.3g} {unit}, all together. "
-            "They do not move as the controller's model predicts"
+            f"driving on gains too little: for {FAILED_MAX * self.window_s:.0f} s, the robots have "
+            f"not come {'to rest ' if self.has_rested else ''}nearer than {self.least_before:.3g} "
+            f"{unit}, all together. They do not move as the controller's model predicts"
         )
 
 

@@ -69,6 +69,15 @@ def test_only_errors_at_rest_count_if_there_are_some(rests):
     assert gain.is_over == rests
 
 
+def test_passing_the_targets_is_no_gain_once_robots_have_stood_still():
+    gain = NOTHING_YET.begun(0.0, PLAN_S)
+    for k in range(1, 41):
+        stands = k == 20
+        gain = gain.after(float(k), 70.0 if stands else 30.0, stands, 0.0, STRAYS)
+    assert gain.is_over
+    assert "to rest nearer than 70 mm" in gain.describe("mm")
+
+
 def test_a_window_is_not_shorter_than_a_detour():
     assert NOTHING_YET.begun(3.0, 0.5).ends_s == 3.0 + WINDOW_MIN_S
 

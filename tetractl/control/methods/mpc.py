@@ -45,6 +45,9 @@ applies decides what the robots do. Each rule is a method with the same name.
     few directions get through    a signal is repeated until it ends, and nothing is searched
                                   meanwhile (`tetractl.control.estimation.reception`)
     a pose jumps                  the filter predicts without it (`control.estimation.filter`)
+    plans do not come true,       no new plan begins. The robots stop as near to the targets as they
+    because the model is wrong    came before, or at the end of their plan, and the trial ends
+                                  (`tetractl.control.methods.gain`)
     a robot stops working         ControlError, if the spec requires that this ends the trial.
                                   Otherwise the robot is lost
     a robot is lost               the leg begins again for the others, at rest or driving as they

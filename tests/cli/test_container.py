@@ -27,6 +27,13 @@ def instructions():
     return [line.split(maxsplit=1) for line in text.splitlines() if line.strip()]
 
 
+def copy_network_files(root):
+    for name in NETWORK_FILES:
+        if Path("/", name).exists():
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(Path("/", name), root / name)
+
+
 @pytest.fixture(scope="module")
 def container(tmp_path_factory):
     """A function that runs a command where the Containerfile's steps have been run."""
@@ -48,12 +55,10 @@ def container(tmp_path_factory):
                 check=True,
                 stdout=subprocess.DEVNULL,
             )
-            for name in NETWORK_FILES:
-                if Path("/", name).exists():
-                    (root / name).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy(Path("/", name), root / name)
+            copy_network_files(root)
         elif name == "RUN":
             run("/bin/sh", "-c", text)
+            copy_network_files(root)  # installing certificates replaces the file of this computer
         elif name == "WORKDIR":
             folder = text
             (root / folder[1:]).mkdir()

@@ -10,8 +10,8 @@ from tetractl_identify.driven_steps import (
     FIRST_LAG_S,
     STEP_S,
     DrivenTrack,
+    choose_steps,
     driven_track,
-    used_steps,
 )
 from tetractl_identify.identify import INTERVALS_MIN
 from tetractl_identify.pose_steps import PoseSteps
@@ -152,31 +152,31 @@ def test_commands_that_a_robot_did_not_receive_and_poses_that_it_lacks_are_left_
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.4, 0.9])
 def test_the_search_begins_at_the_delay_after_which_commands_explain_the_motion(delay_s):
-    steps = used_steps("one", [driven(delay_s=delay_s)], 0.1)
+    steps = choose_steps("one", [driven(delay_s=delay_s)], 0.1)
     assert steps.dead_time == pytest.approx(delay_s - FIRST_LAG_S, abs=0.051)
 
 
 @pytest.mark.parametrize("clock_s", [-4.0, 3.0])
 def test_a_clock_that_is_seconds_off_is_found(clock_s):
     one = driven(clock_s=clock_s, two_clocks=True)
-    steps = used_steps("one", [one], 0.1)
+    steps = choose_steps("one", [one], 0.1)
     assert steps.dead_time == pytest.approx(TRUE_DELAY_S - clock_s - FIRST_LAG_S, abs=0.051)
     assert steps.drift_unit == pytest.approx(2 * 0.05 / one.duration_s)
-    assert used_steps("one", [driven()], 0.1).drift_unit == 0
+    assert choose_steps("one", [driven()], 0.1).drift_unit == 0
 
 
 def test_all_steps_while_commands_act_are_used():
     one = driven()
-    steps = used_steps("one", [one], 0.1)
+    steps = choose_steps("one", [one], 0.1)
     acts = one.acts(steps.dead_time)
     assert steps.left_out == 0
     assert steps.rows.tolist() == np.flatnonzero(acts).tolist()
     assert steps.neighbours.all()
     assert steps.turned == pytest.approx(one.steps.turned[steps.rows])
-    assert steps.way == pytest.approx(one.steps.moved.real[steps.rows])
+    assert steps.distance_along == pytest.approx(one.steps.moved.real[steps.rows])
     assert steps.begin_s == pytest.approx(one.pose_s[:-1][steps.rows])
     assert len(set(steps.block)) == 8
-    assert steps.speed == pytest.approx(np.median(np.abs(steps.way) / steps.duration_s))
+    assert steps.speed == pytest.approx(np.median(np.abs(steps.distance_along) / steps.duration_s))
 
 
 def shifted(poses):
@@ -192,7 +192,7 @@ def turned_round(poses):
     [(shifted, [199, 201]), (turned_round, [199, 200, 201])],  # one drives backwards meanwhile
 )
 def test_a_pose_of_another_body_leaves_out_the_steps_there_and_back(change, left_out):
-    steps = used_steps("one", [driven(change=change)], 0.1)
+    steps = choose_steps("one", [driven(change=change)], 0.1)
     assert steps.left_out == len(left_out)
     kept = set(steps.rows.tolist())
     assert not set(left_out) & kept
@@ -204,7 +204,7 @@ def test_a_pose_of_another_body_leaves_out_the_steps_there_and_back(change, left
 def test_a_gap_leaves_out_its_step_and_no_other():
     valid = np.ones((round(SECONDS * RATE_HZ), 1), dtype=bool)
     valid[400:412] = False
-    steps = used_steps("one", [driven(valid=valid)], 0.1)
+    steps = choose_steps("one", [driven(valid=valid)], 0.1)
     assert steps.left_out == 0
     assert (~steps.neighbours).sum() == 1
     assert steps.duration_s.max() < 0.5
@@ -212,7 +212,7 @@ def test_a_gap_leaves_out_its_step_and_no_other():
 
 def test_the_last_step_of_a_track_and_the_first_of_the_next_are_no_neighbours():
     parts = [driven(1), driven(2)]
-    steps = used_steps("one", parts, 0.1)
+    steps = choose_steps("one", parts, 0.1)
     first = len(parts[0].steps.turned)
     assert (~steps.neighbours).sum() == 1
     border = np.flatnonzero(~steps.neighbours)[0]
@@ -224,7 +224,7 @@ def test_a_robot_that_stands_while_commands_are_0_is_not_used_then():
     commands[40:] = 0.0
     one = driven()
     halted = replace(one, commands=commands)
-    steps = used_steps("one", [halted], 0.1)
+    steps = choose_steps("one", [halted], 0.1)
     assert steps.begin_s.max() < sent_s[40] + 1.5
 
 
@@ -233,24 +233,24 @@ def test_a_robot_needs_enough_steps(count, is_enough):
     valid = np.zeros((round(SECONDS * RATE_HZ), 1), dtype=bool)
     valid[100 : 100 + 2 * count] = True
     if is_enough:
-        assert len(used_steps("one", [driven(valid=valid)], 0.1).rows) >= INTERVALS_MIN
+        assert len(choose_steps("one", [driven(valid=valid)], 0.1).rows) >= INTERVALS_MIN
         return
     with pytest.raises(UsageError, match=r"robot one drives in only 1[12] of the steps") as caught:
-        used_steps("one", [driven(valid=valid)], 0.1)
+        choose_steps("one", [driven(valid=valid)], 0.1)
     assert f"at least {INTERVALS_MIN} steps are needed" in caught.value.hint
 
 
 def test_speeds_and_rates_in_one_ratio_are_noticed():
     _, commands = commands_of(1)
     circle = replace(driven(), commands=np.column_stack([commands[:, 0], commands[:, 0] / 100]))
-    assert used_steps("one", [circle], 0.1).in_one_ratio
+    assert choose_steps("one", [circle], 0.1).in_one_ratio
     straight = replace(driven(), commands=commands * [1, 0])
-    assert not used_steps("one", [straight], 0.1).in_one_ratio
-    assert not used_steps("one", [driven()], 0.1).in_one_ratio
+    assert not choose_steps("one", [straight], 0.1).in_one_ratio
+    assert not choose_steps("one", [driven()], 0.1).in_one_ratio
 
 
 def test_integrals_of_both_motions_have_their_own_lags():
-    steps = used_steps("one", [driven()], 0.1)
+    steps = choose_steps("one", [driven()], 0.1)
     both = steps.integrals(0.2, 0.05, 0.3)
     assert both[:, 0] == pytest.approx(steps.tracks[0].integrals(0.2, 0.05)[steps.rows, 0])
     assert both[:, 1] == pytest.approx(steps.tracks[0].integrals(0.2, 0.3)[steps.rows, 1])

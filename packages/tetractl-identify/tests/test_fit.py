@@ -9,15 +9,15 @@ from scipy import stats
 from tetractl_identify import fit
 from tetractl_identify.fit import (
     BLOCK_S,
-    BLOCKS_LEAST,
-    FAR,
-    RESOLVED,
+    BLOCKS_MIN,
+    DEFAULT_DEAD_TIME_S,
+    HALF_WIDTH_MAX,
+    HEADING_MISFIT_MIN,
     UNKNOWN_S,
-    USUAL_S,
-    _Fit,
     _is_correlated,
+    _RobotFit,
     block_numbers,
-    wider_of_blocks,
+    widening_from_blocks,
 )
 
 NORMAL = 1.959964
@@ -25,7 +25,7 @@ NORMAL = 1.959964
 
 def fitted(**values):
     """A fit of two robots in mid-course, without having run a pass."""
-    made = object.__new__(_Fit)
+    made = object.__new__(_RobotFit)
     made.frames = [SimpleNamespace(lag=0.0)]
     made.mean = np.array(
         [[math.log(4.0), math.log(200.0), 0.1], [math.log(2.0), math.log(150.0), 0.0]]
@@ -33,7 +33,7 @@ def fitted(**values):
     made.std = np.array([[0.02, 0.01, 0.03], [0.05, 0.02, 0.04]])
     made.noise = np.array([[0.5, 2.0, -0.3, -1.5], [0.0, 1.0, 0.0, 1.0]])
     made.noise_std = np.full((2, 4), 0.2)
-    made._unit = np.array([[0.4, 3.0, 0.02, 0.05], [0.3, 2.0, 0.02, 0.05]])
+    made._noise_unit = np.array([[0.4, 3.0, 0.02, 0.05], [0.3, 2.0, 0.02, 0.05]])
     made.tau = 0.12
     made.tau_std = 0.02
     for name, value in values.items():
@@ -62,7 +62,7 @@ def test_a_parabola_gives_the_likeliest_dead_time_and_its_deviation(monkeypatch,
     at_best = fitted().mean + 0.01
     std = np.full((2, 3), 0.015)
     run = pass_of(per_robot, lambda t: at_best + slopes * (t - best_s), std)
-    monkeypatch.setattr(fit, "run", run)
+    monkeypatch.setattr(fit, "run_filter", run)
     made = fitted()
     made.fit_motion()
     assert made.tau == pytest.approx(best_s)
@@ -74,7 +74,7 @@ def test_a_parabola_gives_the_likeliest_dead_time_and_its_deviation(monkeypatch,
 def test_a_dead_time_far_off_is_approached_and_a_flat_likelihood_is_unknown(monkeypatch):
     steady = fitted().mean
     far = pass_of(lambda t: [-((t - 5.0) ** 2) / (4 * 0.5**2)] * 2, lambda _: steady, steady * 0)
-    monkeypatch.setattr(fit, "run", far)
+    monkeypatch.setattr(fit, "run_filter", far)
     made = fitted()
     made.fit_motion()
     assert made.tau == pytest.approx(0.12 + 4 * 0.02)  # twice the range of the parabola
@@ -82,27 +82,28 @@ def test_a_dead_time_far_off_is_approached_and_a_flat_likelihood_is_unknown(monk
     made.fit_motion()
     assert made.tau_std == UNKNOWN_S
     flat = pass_of(lambda _: [0.0, 0.0], lambda _: steady, steady * 0)
-    monkeypatch.setattr(fit, "run", flat)
+    monkeypatch.setattr(fit, "run_filter", flat)
     made = fitted()
     made.fit_motion()
     assert made.tau_std == pytest.approx(5 * 0.02)
 
 
 @pytest.mark.parametrize(
-    ("best_s", "found"), [(0.8, 0.8), (-0.2, -0.2), (-3.0, USUAL_S), (9.0, USUAL_S)]
+    ("best_s", "found"),
+    [(0.8, 0.8), (-0.2, -0.2), (-3.0, DEFAULT_DEAD_TIME_S), (9.0, DEFAULT_DEAD_TIME_S)],
 )
 def test_an_unknown_dead_time_is_searched_and_must_be_inside_the_range(monkeypatch, best_s, found):
-    rates = len(fit.RATES)
+    rates = len(fit.RATE_FACTORS)
     monkeypatch.setattr(
-        fit, "run", pass_of(lambda t: [-abs(t - best_s)] * rates * 2, lambda _: 0, 0)
+        fit, "run_filter", pass_of(lambda t: [-abs(t - best_s)] * rates * 2, lambda _: 0, 0)
     )
-    assert fit._searched(None, np.zeros(2 * rates), None) == pytest.approx(found, abs=0.026)
+    assert fit._search_dead_time(None, np.zeros(2 * rates), None) == pytest.approx(found, abs=0.026)
 
 
 @pytest.mark.parametrize("expected_s", [0.1, None, -0.3])
 def test_a_fit_starts_each_robot_at_its_likeliest_rate(monkeypatch, expected_s):
     """Robot 0 turns at the first of the rates that are tried, robot 1 at the last."""
-    rates = len(fit.RATES)
+    rates = len(fit.RATE_FACTORS)
     best_s = 0.16 if expected_s is None else expected_s + 0.04
     best = [0, 2 * rates - 1]
 
@@ -111,7 +112,7 @@ def test_a_fit_starts_each_robot_at_its_likeliest_rate(monkeypatch, expected_s):
         off[:, best] += 1.0
         of_row = np.arange(2 * rates)[:, None] * np.ones(3)
         assert prior.mean[:, 0] == pytest.approx(
-            np.log(np.outer([4.0, 2.0], fit.RATES)).ravel(), abs=1e-9
+            np.log(np.outer([4.0, 2.0], fit.RATE_FACTORS)).ravel(), abs=1e-9
         )
         return SimpleNamespace(
             likelihood=off,
@@ -119,19 +120,19 @@ def test_a_fit_starts_each_robot_at_its_likeliest_rate(monkeypatch, expected_s):
             std=np.array([of_row + 0.5 for _ in tau]),
         )
 
-    monkeypatch.setattr(fit, "run", run)
+    monkeypatch.setattr(fit, "run_filter", run)
     made = fitted(frames=[SimpleNamespace(time=np.zeros(3)), SimpleNamespace(time=np.zeros(9))])
-    tau, mean, std = made._start(expected_s)
+    tau, mean, std = made._find_start(expected_s)
     assert tau == pytest.approx(best_s, abs=0.03)
     assert mean[:, 0] - 100 * tau == pytest.approx(best)
     assert std[:, 0] == pytest.approx([0.5, 2 * rates - 0.5])
 
 
 def test_the_likeliest_dead_time_is_that_of_the_best_rates_of_all_robots():
-    likelihood = np.full((3, 2 * len(fit.RATES)), -9.0)
+    likelihood = np.full((3, 2 * len(fit.RATE_FACTORS)), -9.0)
     likelihood[0, 0] = 5.0  # robot 0 alone
-    likelihood[1, 1] = likelihood[1, len(fit.RATES)] = 3.0  # both, each at a rate of its own
-    assert fit._likeliest(SimpleNamespace(likelihood=likelihood)) == 1
+    likelihood[1, 1] = likelihood[1, len(fit.RATE_FACTORS)] = 3.0  # both, each at a rate of its own
+    assert fit._likeliest_dead_time(SimpleNamespace(likelihood=likelihood)) == 1
 
 
 def test_intervals_are_the_values_with_two_deviations_on_either_side():
@@ -152,7 +153,11 @@ def test_intervals_are_the_values_with_two_deviations_on_either_side():
 
 
 def test_an_end_too_far_away_is_unknown():
-    made = fitted(std=np.array([[FAR[0] / NORMAL * 1.01, 0.01, FAR[2] / NORMAL * 0.99]] * 2))
+    made = fitted(
+        std=np.array(
+            [[HALF_WIDTH_MAX[0] / NORMAL * 1.01, 0.01, HALF_WIDTH_MAX[2] / NORMAL * 0.99]] * 2
+        )
+    )
     motion = made._motion_intervals()
     assert motion[0, 0].tolist()[1:] == [0.0, math.inf]
     assert np.isfinite(motion[0, 2]).all()
@@ -162,7 +167,7 @@ def test_the_delay_that_a_host_assumes_widens_a_alone_and_only_with_lagging_whee
     lagging = fitted(frames=[SimpleNamespace(lag=0.0), SimpleNamespace(lag=0.1)])
     plain, wider = fitted()._motion_intervals(), lagging._motion_intervals()
     assert wider[0, 0, 2] > plain[0, 0, 2]
-    expected = 4 * math.exp(NORMAL * math.hypot(0.02, 4 * fit.DELAY_S))
+    expected = 4 * math.exp(NORMAL * math.hypot(0.02, 4 * fit.RADIO_DELAY_ERROR_S))
     assert wider[0, 0, 2] == pytest.approx(expected, rel=1e-4)
     assert (wider[:, 1:] == plain[:, 1:]).all()
 
@@ -186,7 +191,7 @@ def test_residuals_that_follow_each_other_are_correlated_and_white_ones_are_not(
     white = rng.normal(0, 0.01, 600)
     smooth = np.convolve(rng.normal(0, 0.01, 604), np.ones(5) / 2, "valid")
     alternating = white * 0.2 + 0.01 * (-1.0) ** np.arange(600)
-    tiny = smooth / smooth.std() * RESOLVED * 0.5
+    tiny = smooth / smooth.std() * HEADING_MISFIT_MIN * 0.5
     gaps = np.where(np.arange(600) % 7 == 0, np.nan, white)
     outlier = white.copy()
     outlier[100] = 3.0
@@ -199,7 +204,7 @@ def test_blocks_are_as_many_as_the_time_has_and_eight_at_least(seconds, count):
     duration_s = np.random.default_rng(2).uniform(0.04, 0.06, round(seconds * 20))
     duration_s *= seconds / duration_s.sum()
     blocks = block_numbers(duration_s)
-    assert len(set(blocks)) == count == max(BLOCKS_LEAST, round(seconds / BLOCK_S))
+    assert len(set(blocks)) == count == max(BLOCKS_MIN, round(seconds / BLOCK_S))
     assert (np.diff(blocks) >= 0).all()
     lengths = np.bincount(blocks, duration_s)
     assert lengths == pytest.approx(np.full(count, seconds / count), rel=0.1)
@@ -208,14 +213,14 @@ def test_blocks_are_as_many_as_the_time_has_and_eight_at_least(seconds, count):
 def test_equal_blocks_have_the_quantile_of_the_t_distribution():
     for blocks in (2, 8, 50):
         expected = stats.t.ppf(0.975, blocks - 1) / stats.norm.ppf(0.975)
-        assert wider_of_blocks(np.ones((blocks, 1))) == pytest.approx([expected], rel=1e-4)
+        assert widening_from_blocks(np.ones((blocks, 1))) == pytest.approx([expected], rel=1e-4)
     few = np.zeros((50, 1))
     few[:3] = 2.0  # the robot turns in three blocks only
     expected = stats.t.ppf(0.975, 2) / stats.norm.ppf(0.975)
-    assert wider_of_blocks(few) == pytest.approx([expected], rel=1e-4)
+    assert widening_from_blocks(few) == pytest.approx([expected], rel=1e-4)
     negative = np.vstack([few, [[-7.0]]])
-    assert wider_of_blocks(negative) == pytest.approx(wider_of_blocks(few))
-    assert np.isfinite(wider_of_blocks(np.zeros((5, 2)))).all()
+    assert widening_from_blocks(negative) == pytest.approx(widening_from_blocks(few))
+    assert np.isfinite(widening_from_blocks(np.zeros((5, 2)))).all()
 
 
 # rounds
@@ -240,16 +245,16 @@ def rounds_of(monkeypatch, taus, tau_std=0.0):
         def result(self, names, all_commands):
             return names, all_commands
 
-    monkeypatch.setattr(fit, "_Fit", Fit)
+    monkeypatch.setattr(fit, "_RobotFit", Fit)
     assert fit.fit([], ("one",), None, None, 0.1, False) == (("one",), False)
     assert made == ["noise", "motion"] * (len(made) // 2)
     return len(made) // 2
 
 
 def test_a_fit_makes_its_rounds_and_no_more_if_the_dead_time_has_settled(monkeypatch):
-    assert rounds_of(monkeypatch, [0.1]) == fit.ROUNDS
+    assert rounds_of(monkeypatch, [0.1]) == fit.ROUNDS_MIN
     early = [0.1, 0.2, 0.15, 0.15, 0.15, 0.15, 0.15]
-    assert rounds_of(monkeypatch, early) == fit.ROUNDS
+    assert rounds_of(monkeypatch, early) == fit.ROUNDS_MIN
 
 
 def test_a_fit_goes_on_until_its_dead_time_has_settled(monkeypatch):
@@ -257,10 +262,10 @@ def test_a_fit_goes_on_until_its_dead_time_has_settled(monkeypatch):
     assert rounds_of(monkeypatch, steps) == 10
     falling = [0.1 - 0.01 * k for k in range(10)]
     assert rounds_of(monkeypatch, falling) == 10
-    assert rounds_of(monkeypatch, [0.1 + 0.01 * k for k in range(50)]) == fit.ROUNDS_MOST
+    assert rounds_of(monkeypatch, [0.1 + 0.01 * k for k in range(50)]) == fit.ROUNDS_MAX
 
 
-@pytest.mark.parametrize(("step_s", "rounds"), [(0.0099, fit.ROUNDS), (0.0101, fit.ROUNDS_MOST)])
+@pytest.mark.parametrize(("step_s", "rounds"), [(0.0099, fit.ROUNDS_MIN), (0.0101, fit.ROUNDS_MAX)])
 def test_half_a_deviation_is_little_enough(monkeypatch, step_s, rounds):
     steps = [step_s * k for k in range(50)]
     assert rounds_of(monkeypatch, steps, tau_std=0.02) == rounds
@@ -273,8 +278,8 @@ def widened(monkeypatch, slopes, curvatures):
     """A fit after its deviations were widened by the slopes and curvatures of blocks (B, N, 8)."""
     made = fitted()
     parts = (0 * slopes, slopes - curvatures / 2, -slopes - curvatures / 2)
-    monkeypatch.setattr(_Fit, "_by_blocks", lambda self: parts)
-    made._widen()
+    monkeypatch.setattr(_RobotFit, "_compute_block_likelihoods", lambda self: parts)
+    made._widen_deviations()
     return made
 
 
@@ -331,8 +336,8 @@ def test_a_result_has_the_values_of_each_robot_and_its_misfits(monkeypatch):
     passed = SimpleNamespace(
         heading_residuals=np.column_stack([white, smooth]), lost=np.array([2.4, 0.6])
     )
-    monkeypatch.setattr(_Fit, "fit_motion", lambda self, watched=False: passed)
-    monkeypatch.setattr(_Fit, "_widen", lambda self: None)
+    monkeypatch.setattr(_RobotFit, "fit_motion", lambda self, watched=False: passed)
+    monkeypatch.setattr(_RobotFit, "_widen_deviations", lambda self: None)
     monkeypatch.setattr(fit, "speed_wander", lambda frames: np.array([0.2, 0.01]))
     monkeypatch.setattr(fit, "intervals_used", lambda frames: np.array([100, 90]))
     dead_time, (one, two) = fitted().result(("one", "two"), True)
@@ -355,8 +360,8 @@ def test_a_result_has_the_values_of_each_robot_and_its_misfits(monkeypatch):
 def test_a_speed_wanders_only_beyond_what_noise_of_positions_makes(monkeypatch):
     """Two positions a second apart show a speed with the noise of both."""
     passed = SimpleNamespace(heading_residuals=np.zeros((9, 2)), lost=np.zeros(2))
-    monkeypatch.setattr(_Fit, "fit_motion", lambda self, watched=False: passed)
-    monkeypatch.setattr(_Fit, "_widen", lambda self: None)
+    monkeypatch.setattr(_RobotFit, "fit_motion", lambda self, watched=False: passed)
+    monkeypatch.setattr(_RobotFit, "_widen_deviations", lambda self: None)
     monkeypatch.setattr(fit, "intervals_used", lambda frames: np.array([100, 90]))
     noisy = np.array([[math.log(20.0 / 0.4), 1.0, 0, 1.0], [0.0, 1.0, 0, 1.0]])  # 20 mm
     limit = 2 * math.sqrt(2) * 20.0 / 200.0
@@ -371,9 +376,9 @@ def test_a_fit_starts_from_the_measured_noise_in_units_of_the_usual_one(monkeypa
     """A robot of twice the speed has twice the usual noise and walk of positions."""
     speed = np.array([100.0, 200.0])
     monkeypatch.setattr(fit, "position_noise", lambda frames: np.array([0.0, 1e3]))
-    monkeypatch.setattr(_Fit, "_start", lambda self, tau: (tau, self.mean, self.std))
-    made = _Fit([], np.array([4.0, 2.0]), speed, 0.1)
-    position, walk, heading, heading_walk = made._unit.T
+    monkeypatch.setattr(_RobotFit, "_find_start", lambda self, tau: (tau, self.mean, self.std))
+    made = _RobotFit([], np.array([4.0, 2.0]), speed, 0.1)
+    position, walk, heading, heading_walk = made._noise_unit.T
     assert position == pytest.approx(fit.POSITION_NOISE_S * speed)
     assert walk == pytest.approx(fit.SLIP * speed)
     assert heading.tolist() == [fit.HEADING_NOISE] * 2

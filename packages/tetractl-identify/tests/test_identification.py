@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from testkit.paths import ROOT
 from tetractl_identify import fit
-from tetractl_identify.fit import WANDERS, FittedRobot
+from tetractl_identify.fit import SPEED_WANDER_MAX, FittedRobot
 from tetractl_identify.identify import (
     Doubt,
     IdentifiedRobots,
@@ -453,10 +453,10 @@ def slips(track, robot):
 def test_only_the_speed_of_a_robot_that_slips_wanders(sets):
     """Regression: a random walk of the positions stood for the slip, and the model fitted."""
     track = drive(5, *sets).track
-    assert (speed_wander([TrackFrames.of(track)]) < WANDERS / 2).all()
-    wander = speed_wander([TrackFrames.of(slips(track, 1))])
-    assert wander[1] > 3 * WANDERS
-    assert (wander[[0, 2]] < WANDERS / 2).all()
+    assert (speed_wander([TrackFrames.from_track(track)]) < SPEED_WANDER_MAX / 2).all()
+    wander = speed_wander([TrackFrames.from_track(slips(track, 1))])
+    assert wander[1] > 3 * SPEED_WANDER_MAX
+    assert (wander[[0, 2]] < SPEED_WANDER_MAX / 2).all()
 
 
 @pytest.mark.long
@@ -485,12 +485,12 @@ def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
     """Regression: how fast they turned amid their start was guessed, which cost the fit of one log
     in ten its dead time."""
     track = drive(2, *LAGGING_WHEELS, count=5).track
-    without_lag = TrackFrames.of(track)
-    assert not without_lag.placed[0].any()
-    lagging = TrackFrames.of(replace(track, lag=LAG_S))
-    assert lagging.placed[0].all()
+    without_lag = TrackFrames.from_track(track)
+    assert not without_lag.restarts[0].any()
+    lagging = TrackFrames.from_track(replace(track, lag=LAG_S))
+    assert lagging.restarts[0].all()
     assert lagging.used[1:].all()
-    hold_s, hold_s2, _ = lagging.hold
+    hold_s, hold_s2, _ = lagging.hold_moments
     assert 0.025 <= hold_s <= 0.05  # at 40 Hz and at each new direction
     assert hold_s2 >= hold_s**2
 
@@ -524,10 +524,10 @@ def test_the_speed_of_a_robot_that_does_not_slip_does_not_wander(name):
     left out, and the model did not fit two right robots of three."""
     track = drive(5, *STEADY[name], count=150).track
     noise_mm = 2.0 if "position: 2" in str(STEADY[name]) else POSITION_NOISE_MM
-    wander = speed_wander([TrackFrames.of(track)])
-    most = np.maximum(WANDERS, 2 * np.sqrt(2) * noise_mm / 150.0)
+    wander = speed_wander([TrackFrames.from_track(track)])
+    most = np.maximum(SPEED_WANDER_MAX, 2 * np.sqrt(2) * noise_mm / 150.0)
     assert (wander < most).all()
-    assert speed_wander([TrackFrames.of(slips(track, 1))])[1] > most
+    assert speed_wander([TrackFrames.from_track(slips(track, 1))])[1] > most
 
 
 @pytest.mark.long

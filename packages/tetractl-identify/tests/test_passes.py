@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_identify.passes import (
+    FRAME_GAP_MIN_S,
     IDENTIFIED,
-    SHORTEST_S,
-    UNSEEN_S,
-    Passed,
+    RESTART_GAP_S,
     PassPrior,
+    PassResult,
     TrackFrames,
     _begin_track,
-    _start,
-    _Watch,
+    _ResidualWatch,
+    _start_filter,
     intervals_used,
     position_noise,
     speed_wander,
@@ -35,12 +35,12 @@ def frames_of(poses, time, used=None):
         time=np.repeat(np.asarray(time, dtype=float)[:, None], robots, axis=1),
         poses=poses,
         used=np.ones((count, robots), dtype=bool) if used is None else used,
-        placed=np.zeros((count, robots), dtype=bool),
-        when=np.array([0.0]),
+        restarts=np.zeros((count, robots), dtype=bool),
+        sent_s=np.array([0.0]),
         u=np.array([0.0]),
         watchdog=np.inf,
         lag=0.0,
-        hold=(0.0, 0.0, 0.0),
+        hold_moments=(0.0, 0.0, 0.0),
     )
 
 
@@ -145,46 +145,46 @@ def track(time, poses, valid=None, sent=(0.0, 5.0), lag=0.0, until=np.inf):
 def test_a_robot_is_used_from_where_it_drives_and_from_the_first_direction_to_the_stop():
     time = np.arange(0, 200) / 20
     poses = straight(100.0, np.maximum(time - 4.0, 0.0))  # it stands until 4 s
-    frames = TrackFrames.of(track(time, poses, sent=(2.0, 3.0), until=9.0))
+    frames = TrackFrames.from_track(track(time, poses, sent=(2.0, 3.0), until=9.0))
     assert frames.time[0, 0] == pytest.approx(2.0)
     assert frames.time[-1, 0] == pytest.approx(9.0)
     acts = frames.time[:, 0] > 4.0 + 1e-6
-    assert (frames.used | frames.placed)[:, 0].tolist() == acts.tolist()
-    assert frames.placed.sum() == 1
-    lagging = TrackFrames.of(track(time, poses, sent=(2.0, 3.0), lag=0.1))
-    first = lagging.time[lagging.used | lagging.placed].min()
+    assert (frames.used | frames.restarts)[:, 0].tolist() == acts.tolist()
+    assert frames.restarts.sum() == 1
+    lagging = TrackFrames.from_track(track(time, poses, sent=(2.0, 3.0), lag=0.1))
+    first = lagging.time[lagging.used | lagging.restarts].min()
     assert first == pytest.approx(4.05 - 0.3)  # where it certainly stands still
 
 
 def test_frames_that_follow_too_soon_are_left_out_and_a_gap_starts_a_robot_anew():
     time = np.sort(np.concatenate([np.arange(0, 100) / 20, np.arange(0, 100) / 20 + 0.01]))
     poses = straight(100.0, time)
-    valid = ~((time > 2.0) & (time < 2.0 + UNSEEN_S + 0.1))[:, None]
-    frames = TrackFrames.of(track(time, poses, valid))
-    assert np.diff(frames.time[:, 0]).min() >= SHORTEST_S - 1e-6
-    placed_s = frames.time[frames.placed]
+    valid = ~((time > 2.0) & (time < 2.0 + RESTART_GAP_S + 0.1))[:, None]
+    frames = TrackFrames.from_track(track(time, poses, valid))
+    assert np.diff(frames.time[:, 0]).min() >= FRAME_GAP_MIN_S - 1e-6
+    placed_s = frames.time[frames.restarts]
     assert len(placed_s) == 2
-    assert placed_s[1] == pytest.approx(2.0 + UNSEEN_S + 0.1, abs=0.05)
-    assert not (frames.used & frames.placed).any()
-    brief = ~((time > 2.0) & (time < 2.0 + UNSEEN_S - 0.12))[:, None]
-    assert TrackFrames.of(track(time, poses, brief)).placed.sum() == 1
+    assert placed_s[1] == pytest.approx(2.0 + RESTART_GAP_S + 0.1, abs=0.05)
+    assert not (frames.used & frames.restarts).any()
+    brief = ~((time > 2.0) & (time < 2.0 + RESTART_GAP_S - 0.12))[:, None]
+    assert TrackFrames.from_track(track(time, poses, brief)).restarts.sum() == 1
 
 
 def test_rates_that_lagging_wheels_keep_are_weighted_by_their_times():
     time = np.arange(0, 200) / 20
     poses = straight(100.0, time)
     sent = (0.0, 0.1, 0.4, 0.6)
-    frames = TrackFrames.of(track(time, poses, sent=sent, lag=0.2))
+    frames = TrackFrames.from_track(track(time, poses, sent=sent, lag=0.2))
     apart = np.array([0.1, 0.3, 0.2])
     expected = [np.sum(apart ** (power + 1)) / np.sum(apart) for power in (1, 2, 3)]
-    assert frames.hold == pytest.approx(expected)
-    assert TrackFrames.of(track(time, poses, sent=sent)).hold == (0.0, 0.0, 0.0)
+    assert frames.hold_moments == pytest.approx(expected)
+    assert TrackFrames.from_track(track(time, poses, sent=sent)).hold_moments == (0.0, 0.0, 0.0)
 
 
 def test_a_track_without_directions_is_refused():
     time = np.arange(0, 20) / 20
     with pytest.raises(UsageError, match=r"made\.csv: the log has no direction that was sent"):
-        TrackFrames.of(track(time, straight(100.0, time), sent=()))
+        TrackFrames.from_track(track(time, straight(100.0, time), sent=()))
 
 
 def test_a_robot_that_turns_in_some_seconds_and_not_in_others_does_not_wander():
@@ -238,7 +238,7 @@ def bank_of(newest, directions, weights, headings):
 
 
 def watched(*frames, used=True):
-    watch = _Watch(U, 1)
+    watch = _ResidualWatch(U, 1)
     for bank, heading in frames:
         watch.add(bank, np.array([[0.0, 0.0, heading]]), np.array([used]))
     return watch
@@ -289,7 +289,7 @@ TAUS = np.array([0.1, 0.2, 0.3])
 
 
 def test_a_filter_begins_with_its_prior_for_each_dead_time():
-    model, bank = _start(PRIOR, TAUS)
+    model, bank = _start_filter(PRIOR, TAUS)
     assert (bank.dead_time_s == TAUS[:, None]).all()
     for states in bank.state[:, :, 0]:
         assert states[:, IDENTIFIED] == pytest.approx(PRIOR.mean)
@@ -306,9 +306,9 @@ def test_robots_stand_until_the_first_direction_only_if_their_wheels_lag(lag):
     time = np.arange(40) / 20
     frames = replace(
         frames_of(np.concatenate([straight(100.0, time)] * 2, axis=1), time),
-        when=np.array([0.3, 0.9]), u=np.array([0.7, 1.1]), watchdog=0.25, lag=lag,
+        sent_s=np.array([0.3, 0.9]), u=np.array([0.7, 1.1]), watchdog=0.25, lag=lag,
     )  # fmt: skip
-    _, bank = _start(PRIOR, TAUS)
+    _, bank = _start_filter(PRIOR, TAUS)
     _begin_track(bank, frames)
     assert np.exp(bank.ln_weight).sum(axis=2) == pytest.approx(np.ones((3, 2)))
     assert (bank.ln_weight[..., 0] == 0).all()
@@ -326,6 +326,6 @@ def test_the_likelihood_is_the_sum_over_the_blocks():
     blocks = np.arange(12.0).reshape(3, 2, 2)
     nothing = np.zeros(0)
     assert (
-        Passed(blocks, nothing, nothing, nothing, nothing).likelihood.tolist()
+        PassResult(blocks, nothing, nothing, nothing, nothing).likelihood.tolist()
         == (blocks[0] + blocks[1] + blocks[2]).tolist()
     )

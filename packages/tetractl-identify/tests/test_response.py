@@ -8,7 +8,7 @@ from tetractl_identify.response import respond
 from tetractl_identify.robot_response import response_table
 from tetractl_identify.step_regression import ResponseParameters
 from tetractl_identify.tracks import Track, rows_apart
-from tetractl_identify.unusual import USUAL, unusual_values
+from tetractl_identify.unusual import USUAL_RANGES, unusual_values
 
 from tetractl.core.errors import UsageError
 from tetractl.tools.likelihood import SampleInterval
@@ -348,7 +348,7 @@ def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
         value = response.quantities[name].value
         assert moved.quantities[name].value == pytest.approx(value, rel=0.01)
     note = response_table([moved], "", "mm").note
-    _, latest = USUAL["dead_time"]
+    _, latest = USUAL_RANGES["dead_time"]
     assert ("dead time of one is" in note) == (not 0 <= by_one_clock - late_s <= latest)
 
 
@@ -362,5 +362,5 @@ def test_a_search_that_goes_far_astray_does_not_overflow():
     """Regression: "array must not contain infs or NaNs" ended the command with a traceback."""
     units = ResponseParameters(0.1, 0.1, 0.1, 0.02, 2.0, 0.003, 0.2, 0.0)
     with np.errstate(all="raise"):
-        far = units.at(np.full(8, 1e6))
+        far = units.scaled_by(np.full(8, 1e6))
     assert np.isfinite([far.heading_walk**2, far.way_walk**2, far.turning_lag]).all()

@@ -8,7 +8,7 @@ from tetractl_identify.robot_response import UNITS, RobotResponse, response_tabl
 
 from tetractl.tools.likelihood import SampleInterval
 
-FOLLOWED = Explained(0.98, rest=0.1, asked=9.0)
+FOLLOWED = Explained(0.98, unexplained_sum=0.1, asked_sum=9.0)
 
 
 def interval(value, reach=0.01):
@@ -138,8 +138,8 @@ def test_unusual_values_are_named_with_their_robot():
     assert "of one is" not in note
 
 
-WORSE = Explained(0.3, rest=4.0, asked=9.0)
-HARDLY_ASKED = Explained(0.3, rest=4.0, asked=1.0)
+WORSE = Explained(0.3, unexplained_sum=4.0, asked_sum=9.0)
+HARDLY_ASKED = Explained(0.3, unexplained_sum=4.0, asked_sum=1.0)
 
 
 def test_commands_that_explain_little_of_a_motion_are_a_problem_of_this_motion():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tetractl_identify.passes import PassPrior, TrackFrames, run
+from tetractl_identify.passes import PassPrior, TrackFrames, run_filter
 from tetractl_identify.tracks import Track
 
 pytestmark = pytest.mark.slow
@@ -35,7 +35,7 @@ def driven(seed):
             [SPEED * np.cos(middle) * dt, SPEED * np.sin(middle) * dt, turn]
         )
     poses = path[::5] + rng.normal(size=(len(path[::5]), 2, 3)) * [NOISE[0], NOISE[0], NOISE[1]]
-    return TrackFrames.of(
+    return TrackFrames.from_track(
         Track(
             source="p.csv",
             origin="CSV",
@@ -68,7 +68,7 @@ def prior(rows):
 
 
 def test_the_true_dead_time_is_the_likeliest_and_the_true_values_are_found():
-    passed = run([ONE], BOTH, prior(BOTH), TAUS)
+    passed = run_filter([ONE], BOTH, prior(BOTH), TAUS)
     assert passed.likelihood.shape == (3, 2)
     assert passed.likelihood.argmax(axis=0).tolist() == [1, 1]
     a, speed, bias = passed.mean[1].T
@@ -79,46 +79,46 @@ def test_the_true_dead_time_is_the_likeliest_and_the_true_values_are_found():
 
 
 def test_rows_are_robots_in_any_order_and_number():
-    whole = run([ONE], BOTH, prior(BOTH), TAUS)
+    whole = run_filter([ONE], BOTH, prior(BOTH), TAUS)
     rows = np.array([1, 0, 1])
-    some = run([ONE], rows, prior(rows), TAUS)
+    some = run_filter([ONE], rows, prior(rows), TAUS)
     assert some.likelihood == pytest.approx(whole.likelihood[:, rows])
     assert some.mean == pytest.approx(whole.mean[:, rows])
     assert some.std == pytest.approx(whole.std[:, rows])
 
 
 def test_the_likelihoods_of_blocks_add_up_to_that_of_all_frames():
-    whole = run([ONE], BOTH, prior(BOTH), TAUS)
+    whole = run_filter([ONE], BOTH, prior(BOTH), TAUS)
     blocks = np.minimum(np.arange(len(ONE.time)) // 50, 3)
-    parts = run([ONE], BOTH, prior(BOTH), TAUS, blocks=[blocks])
-    assert parts.by_block.shape == (4, 3, 2)
+    parts = run_filter([ONE], BOTH, prior(BOTH), TAUS, blocks=[blocks])
+    assert parts.block_ln_likelihoods.shape == (4, 3, 2)
     assert parts.likelihood == pytest.approx(whole.likelihood)
-    assert (np.abs(parts.by_block) > 0).all()
+    assert (np.abs(parts.block_ln_likelihoods) > 0).all()
 
 
 def test_a_second_track_adds_to_what_the_first_one_showed():
-    first = run([ONE], BOTH, prior(BOTH), TAUS)
-    both = run([ONE, TWO], BOTH, prior(BOTH), TAUS)
+    first = run_filter([ONE], BOTH, prior(BOTH), TAUS)
+    both = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS)
     assert (both.std[1] < first.std[1]).all()
     blocks = [np.zeros(len(track.time), dtype=np.int64) + k for k, track in enumerate((ONE, TWO))]
-    parts = run([ONE, TWO], BOTH, prior(BOTH), TAUS, blocks=blocks)
-    assert parts.by_block[0] == pytest.approx(first.likelihood)
+    parts = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS, blocks=blocks)
+    assert parts.block_ln_likelihoods[0] == pytest.approx(first.likelihood)
     assert parts.likelihood == pytest.approx(both.likelihood)
 
 
 def test_a_clock_that_starts_elsewhere_changes_nothing_of_the_true_dead_time():
-    later = replace(ONE, time=ONE.time + 100.0, when=ONE.when + 100.0)
-    moved = run([later], BOTH, prior(BOTH), TAUS)
-    same = run([ONE], BOTH, prior(BOTH), TAUS)
+    later = replace(ONE, time=ONE.time + 100.0, sent_s=ONE.sent_s + 100.0)
+    moved = run_filter([later], BOTH, prior(BOTH), TAUS)
+    same = run_filter([ONE], BOTH, prior(BOTH), TAUS)
     assert moved.likelihood[1] == pytest.approx(same.likelihood[1], rel=1e-6)
     assert moved.mean[1] == pytest.approx(same.mean[1], rel=1e-6)
 
 
 def test_residuals_and_lost_directions_are_collected_only_if_watched():
-    plain = run([ONE, TWO], BOTH, prior(BOTH), TAUS)
+    plain = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS)
     assert plain.heading_residuals.size == 0
     assert plain.lost.tolist() == [0, 0]
-    watched = run([ONE, TWO], BOTH, prior(BOTH), TAUS, watched=True)
+    watched = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS, watched=True)
     assert watched.likelihood == pytest.approx(plain.likelihood)
     residuals = watched.heading_residuals
     assert residuals.shape == (len(ONE.time) + len(TWO.time), 2)
@@ -135,6 +135,6 @@ def test_a_robot_that_misses_directions_is_found_to_have_lost_them():
     u[missed] = u[missed - 1] + np.pi / 2
     followed = ONE.u.copy()
     followed[missed] = followed[missed - 1]
-    watched = run([replace(ONE, u=u)], BOTH, prior(BOTH), TAUS, watched=True)
-    honest = run([ONE], BOTH, prior(BOTH), TAUS, watched=True)
+    watched = run_filter([replace(ONE, u=u)], BOTH, prior(BOTH), TAUS, watched=True)
+    honest = run_filter([ONE], BOTH, prior(BOTH), TAUS, watched=True)
     assert (watched.lost > honest.lost + 2).all()

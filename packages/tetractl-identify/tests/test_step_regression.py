@@ -8,8 +8,8 @@ import pytest
 from tetractl_identify.driven_steps import DEAD_TIME_UNIT_S
 from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
 from tetractl_identify.step_regression import (
+    DISTANCE_ERROR,
     TURN_ERROR_RAD,
-    WAY_ERROR,
     ResponseParameters,
     whitened_turns,
     whitened_ways,
@@ -32,7 +32,7 @@ STEPS = 40
 class Steps:
     """Steps of a robot, with the integrals of what was sent in them; gaps part some of them."""
 
-    way: np.ndarray
+    distance_along: np.ndarray
     turned: np.ndarray
     sent: np.ndarray
     duration_s: np.ndarray
@@ -61,7 +61,7 @@ def covariance(of, walk, noise, error):
     return whole
 
 
-CASES = {"turns": (whitened_turns, "turned", 1), "ways": (whitened_ways, "way", 0)}
+CASES = {"turns": (whitened_turns, "turned", 1), "ways": (whitened_ways, "distance_along", 0)}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -74,7 +74,7 @@ def test_whitening_gives_the_quadratic_forms_of_the_whole_covariance(case):
         covariance(of, p.heading_walk, p.heading_noise, TURN_ERROR_RAD)
         if own
         else covariance(
-            of, p.way_walk, p.position_noise, WAY_ERROR * float(np.median(abs(measured)))
+            of, p.way_walk, p.position_noise, DISTANCE_ERROR * float(np.median(abs(measured)))
         )
     )
     whitened = whiten(of, p)
@@ -83,7 +83,7 @@ def test_whitening_gives_the_quadratic_forms_of_the_whole_covariance(case):
     ours = np.column_stack([whitened.y, whitened.x])
     assert ours.T @ ours == pytest.approx(expected, rel=1e-9)
     assert whitened.ln_root.sum() == pytest.approx(np.linalg.slogdet(whole)[1] / 2)
-    assert whitened.own == own
+    assert whitened.own_column == own
 
 
 @pytest.mark.parametrize(("way_gain", "turn_gain"), [(1.1, 0.9), (0.4, 2.5), (-0.8, -1.2)])
@@ -101,7 +101,7 @@ def test_a_length_unit_scales_out():
     of = steps()
     p = PARAMETERS
     metres = replace(p, way_walk=p.way_walk / 1000, position_noise=p.position_noise / 1000)
-    in_metres = replace(of, way=of.way / 1000, sent=of.sent / [1000, 1])
+    in_metres = replace(of, distance_along=of.distance_along / 1000, sent=of.sent / [1000, 1])
     ours, theirs = whitened_ways(of, p), whitened_ways(in_metres, metres)
     assert ours.gains()[0] == pytest.approx(theirs.gains()[0])
     assert ours.gains()[1] == pytest.approx(1000 * theirs.gains()[1])
@@ -133,8 +133,8 @@ def test_the_true_noise_is_likelier_than_others():
 
 
 def test_a_vector_of_zeros_means_the_units_and_no_drift():
-    assert PARAMETERS.at(np.zeros(8)) == replace(PARAMETERS, clock_drift=0.0)
-    away = PARAMETERS.at(np.array([2.0, 0.5, -0.5, 1.0, -1.0, 1.0, -1.0, 3.0]))
+    assert PARAMETERS.scaled_by(np.zeros(8)) == replace(PARAMETERS, clock_drift=0.0)
+    away = PARAMETERS.scaled_by(np.array([2.0, 0.5, -0.5, 1.0, -1.0, 1.0, -1.0, 3.0]))
     factors = [math.exp(value) for value in (0.5, -0.5, 1.0, -1.0, 1.0, -1.0)]
     assert away.dead_time == pytest.approx(0.12 + 2 * DEAD_TIME_UNIT_S)
     expected = [
@@ -147,7 +147,7 @@ def test_a_vector_of_zeros_means_the_units_and_no_drift():
 def test_lags_stay_within_those_that_are_tried():
     vector = np.zeros(8)
     vector[1:3] = 99.0
-    slow = PARAMETERS.at(vector)
-    quick = PARAMETERS.at(-vector)
+    slow = PARAMETERS.scaled_by(vector)
+    quick = PARAMETERS.scaled_by(-vector)
     assert (slow.turning_lag, slow.speed_lag) == (LONGEST_LAG_S, LONGEST_LAG_S)
     assert (quick.turning_lag, quick.speed_lag) == (SHORTEST_LAG_S, SHORTEST_LAG_S)

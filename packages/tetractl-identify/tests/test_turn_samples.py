@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_identify.tracks import SETTLED_S, Track
-from tetractl_identify.turn_samples import GAP_S, TURN_S, Turns
+from tetractl_identify.turn_samples import GAP_MIN_S, TURN_S, TurnSamples
 
 RATE_RAD_S = 0.7
 
@@ -39,31 +39,31 @@ TIMES = np.arange(0, 400) * 0.03
 
 
 def test_the_turns_of_a_robot_that_turns_evenly_are_its_rate_times_their_durations():
-    turns = Turns.of(turning(TIMES), 0)
+    turns = TurnSamples.from_track(turning(TIMES), 0)
     assert len(turns.angle) > 150
-    assert turns.angle == pytest.approx(RATE_RAD_S * (turns.end - turns.begin))
-    assert (turns.begin[1:] == turns.end[:-1]).all()
+    assert turns.angle == pytest.approx(RATE_RAD_S * (turns.end_s - turns.begin_s))
+    assert (turns.begin_s[1:] == turns.end_s[:-1]).all()
     assert turns.heading[50:100] == pytest.approx(RATE_RAD_S * turns.grid[50:100], abs=1e-9)
 
 
 def test_turns_begin_when_the_robot_has_settled_and_end_at_the_stop():
-    turns = Turns.of(turning(TIMES, sent=(2.0,), until=7.0), 0)
-    assert turns.begin[0] >= 2.0 + SETTLED_S
-    assert turns.begin[0] == pytest.approx(2.0 + SETTLED_S, abs=0.06)
-    assert turns.end[-1] <= 7.0
-    assert turns.end[-1] == pytest.approx(7.0, abs=0.07)
+    turns = TurnSamples.from_track(turning(TIMES, sent=(2.0,), until=7.0), 0)
+    assert turns.begin_s[0] >= 2.0 + SETTLED_S
+    assert turns.begin_s[0] == pytest.approx(2.0 + SETTLED_S, abs=0.06)
+    assert turns.end_s[-1] <= 7.0
+    assert turns.end_s[-1] == pytest.approx(7.0, abs=0.07)
 
 
 def test_turns_last_no_less_than_their_minimum():
-    fast = Turns.of(turning(np.arange(0, 2000) * 0.008), 0)
-    durations_s = fast.end - fast.begin
+    fast = TurnSamples.from_track(turning(np.arange(0, 2000) * 0.008), 0)
+    durations_s = fast.end_s - fast.begin_s
     assert durations_s.min() >= TURN_S - 1e-6
     assert durations_s.max() < 2 * TURN_S
 
 
 def test_measured_turns_and_headings_come_from_different_poses():
     """Noise of every second pose changes the turns, and noise of the others the headings."""
-    plain = Turns.of(turning(TIMES), 0)
+    plain = TurnSamples.from_track(turning(TIMES), 0)
     used = TIMES >= SETTLED_S
     first = np.flatnonzero(used)[0]
     for offset in (0, 1):
@@ -71,62 +71,64 @@ def test_measured_turns_and_headings_come_from_different_poses():
         headings[first + offset :: 2] += 0.01 * np.sin(
             np.arange(len(headings[first + offset :: 2]))
         )
-        noisy = Turns.of(track(TIMES, headings), 0)
+        noisy = TurnSamples.from_track(track(TIMES, headings), 0)
         assert np.allclose(noisy.angle, plain.angle) == (offset == 1)
         assert np.allclose(noisy.heading, plain.heading) == (offset == 0)
 
 
 def test_a_turn_during_which_the_robot_was_not_seen_is_left_out():
-    for gap_s, is_left_out in ((GAP_S - 0.1, False), (GAP_S + 0.1, True)):
+    for gap_s, is_left_out in ((GAP_MIN_S - 0.1, False), (GAP_MIN_S + 0.1, True)):
         seen = (TIMES < 5.0) | (5.0 + gap_s < TIMES)
-        turns = Turns.of(turning(TIMES[seen]), 0)
-        across = (turns.begin < 5.0 + gap_s / 2) & (turns.end > 5.0 + gap_s / 2)
+        turns = TurnSamples.from_track(turning(TIMES[seen]), 0)
+        across = (turns.begin_s < 5.0 + gap_s / 2) & (turns.end_s > 5.0 + gap_s / 2)
         assert across.any() != is_left_out
 
 
 def test_a_slow_camera_has_no_gaps():
     slow = np.arange(0, 60) * 0.2
-    turns = Turns.of(turning(slow), 0)
-    assert turns.end - turns.begin == pytest.approx(np.full(len(turns.end), 0.4))
+    turns = TurnSamples.from_track(turning(slow), 0)
+    assert turns.end_s - turns.begin_s == pytest.approx(np.full(len(turns.end_s), 0.4))
 
 
 def test_poses_in_which_the_robot_was_not_tracked_or_silent_are_not_used():
     lost = np.ones((len(TIMES), 1), dtype=bool)
     lost[(TIMES > 5) & (TIMES < 6)] = False
     for turns in (
-        Turns.of(turning(TIMES, valid=lost), 0),
-        Turns.of(turning(TIMES, silent=~lost), 0),
+        TurnSamples.from_track(turning(TIMES, valid=lost), 0),
+        TurnSamples.from_track(turning(TIMES, silent=~lost), 0),
     ):
-        assert not ((turns.begin > 5.1) & (turns.end < 5.9)).any()
-        assert ((turns.begin > 6.1) & (turns.end < 6.9)).any()
+        assert not ((turns.begin_s > 5.1) & (turns.end_s < 5.9)).any()
+        assert ((turns.begin_s > 6.1) & (turns.end_s < 6.9)).any()
 
 
 def test_the_poses_of_each_robot_have_their_own_times():
     later = (TIMES + 0.01)[:, None]
-    turns = Turns.of(turning(TIMES, own_times=later), 0)
-    assert set(np.round((turns.begin - 0.01) / 0.03 % 1, 6)) <= {0.0, 1.0}
+    turns = TurnSamples.from_track(turning(TIMES, own_times=later), 0)
+    assert set(np.round((turns.begin_s - 0.01) / 0.03 % 1, 6)) <= {0.0, 1.0}
 
 
 def test_only_the_directions_that_a_robot_received_count():
     received = np.array([[True], [False], [True]])
-    turns = Turns.of(turning(TIMES, sent=(0.0, 1.0, 2.0), u=(0.1, 0.2, 0.3), received=received), 0)
-    assert turns.when.tolist() == [0.0, 2.0]
+    turns = TurnSamples.from_track(
+        turning(TIMES, sent=(0.0, 1.0, 2.0), u=(0.1, 0.2, 0.3), received=received), 0
+    )
+    assert turns.sent_s.tolist() == [0.0, 2.0]
     assert turns.u.tolist() == [0.1, 0.3]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_few_poses_give_no_turns(count):
     times = 1.0 + np.arange(count) * 0.1
-    turns = Turns.of(turning(times), 0)
-    assert len(turns.angle) == len(turns.begin) == len(turns.end) <= 1
-    assert len(turns.asked(0.1, 0.1)) == len(turns.angle)
+    turns = TurnSamples.from_track(turning(times), 0)
+    assert len(turns.angle) == len(turns.begin_s) == len(turns.end_s) <= 1
+    assert len(turns.asked_turns(0.1, 0.1)) == len(turns.angle)
 
 
 def asked_slowly(turns, lag_s, dead_time_s, heading):
     """The integral over each turn of exp(i (u - h)), which follows with a lag, in small steps."""
     dt = 1e-3
     times = np.arange(turns.grid[0], turns.grid[-1], dt)
-    newest = np.maximum(np.searchsorted(turns.when, times - dead_time_s, side="right") - 1, 0)
+    newest = np.maximum(np.searchsorted(turns.sent_s, times - dead_time_s, side="right") - 1, 0)
     pull = np.exp(1j * (turns.u[newest] - heading(times)))
     rate = np.zeros(len(times), dtype=complex)
     now = 0j
@@ -135,7 +137,8 @@ def asked_slowly(turns, lag_s, dead_time_s, heading):
         rate[k] = now
     total = np.concatenate([[0], np.cumsum(rate) * dt])
     ends = [
-        np.interp(at, np.append(times, times[-1] + dt), total) for at in (turns.begin, turns.end)
+        np.interp(at, np.append(times, times[-1] + dt), total)
+        for at in (turns.begin_s, turns.end_s)
     ]
     return ends[1] - ends[0]
 
@@ -146,21 +149,21 @@ def test_what_directions_ask_for_is_the_integral_of_their_pull(lag_s, dead_time_
     sent = np.arange(0, 12, 0.35)
     u = np.random.default_rng(3).uniform(-2, 2, len(sent))
     headings = 0.4 * np.sin(TIMES)
-    turns = Turns.of(track(TIMES, headings, sent, u), 0)
+    turns = TurnSamples.from_track(track(TIMES, headings, sent, u), 0)
     expected = asked_slowly(turns, lag_s, dead_time_s, lambda times: 0.4 * np.sin(times))
-    after_the_start = turns.begin > turns.grid[0] + 8 * lag_s
-    asked = turns.asked(lag_s, dead_time_s)
+    after_the_start = turns.begin_s > turns.grid[0] + 8 * lag_s
+    asked = turns.asked_turns(lag_s, dead_time_s)
     assert asked[after_the_start] == pytest.approx(expected[after_the_start], abs=3e-3)
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0, 0.4))
 def test_a_robot_at_a_constant_angle_to_its_direction_is_pulled_evenly(direction, heading, dead):
-    turns = Turns.of(track(TIMES, np.full(len(TIMES), heading), u=(direction,)), 0)
-    expected = np.exp(1j * (direction - heading)) * (turns.end - turns.begin)
-    assert turns.asked(0.0, dead) == pytest.approx(expected, abs=1e-9)
+    turns = TurnSamples.from_track(track(TIMES, np.full(len(TIMES), heading), u=(direction,)), 0)
+    expected = np.exp(1j * (direction - heading)) * (turns.end_s - turns.begin_s)
+    assert turns.asked_turns(0.0, dead) == pytest.approx(expected, abs=1e-9)
 
 
 def test_without_directions_nothing_is_asked():
-    turns = Turns.of(turning(TIMES, received=np.array([[False]])), 0)
+    turns = TurnSamples.from_track(turning(TIMES, received=np.array([[False]])), 0)
     assert len(turns.angle) > 0
-    assert (turns.asked(0.1, 0.1) == 0).all()
+    assert (turns.asked_turns(0.1, 0.1) == 0).all()

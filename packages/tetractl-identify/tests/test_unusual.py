@@ -4,7 +4,7 @@ import math
 
 import pytest
 from tetractl_identify.unusual import (
-    USUAL,
+    USUAL_RANGES,
     is_determined,
     may_be_usual,
     undetermined_values,
@@ -62,18 +62,18 @@ def test_an_interval_may_be_usual_if_it_touches_the_usual_range(low, high, may_b
     assert may_be_usual("turning_gain", SampleInterval((low + high) / 2, low, high)) is may_be
 
 
-@pytest.mark.parametrize("name", USUAL)
+@pytest.mark.parametrize("name", USUAL_RANGES)
 def test_a_value_in_the_middle_of_its_usual_range_is_not_named(name):
-    low, high = USUAL[name]
+    low, high = USUAL_RANGES[name]
     middle = (low + high) / 2
     for reach in (0.0, (high - low) / 4, 2 * (high - low), NOT_STATED):
         assert unusual_values([("one", {name: interval(middle, reach)})]) == ""
 
 
-@pytest.mark.parametrize("name", USUAL)
+@pytest.mark.parametrize("name", USUAL_RANGES)
 @pytest.mark.parametrize("reach", [1e-6, NOT_STATED])
 def test_a_value_beyond_either_end_of_its_usual_range_is_named(name, reach):
-    low, high = USUAL[name]
+    low, high = USUAL_RANGES[name]
     for value in (low - 0.01, high + 0.01):
         said = unusual_values([("one", {name: interval(value, reach)})])
         assert said.startswith(f"the {name.replace('_', ' ')} of one is {value:.3g} (usual: ")
@@ -103,7 +103,7 @@ def test_what_is_usual(name, inside, outside):
 
 @pytest.mark.parametrize("name", ["dead_time", "a", "heading_bias", "heading_offset"])
 def test_a_value_whose_interval_reaches_into_the_usual_range_is_not_named(name):
-    low, high = USUAL[name]
+    low, high = USUAL_RANGES[name]
     assert unusual_values([("one", {name: interval(low - 0.01, 0.02)})]) == ""
     assert unusual_values([("one", {name: interval(high + 0.01, 0.02)})]) == ""
 

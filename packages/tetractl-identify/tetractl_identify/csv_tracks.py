@@ -2,9 +2,9 @@
 
 docs/how-to/identify.md describes the format: a row for each pose or command, and columns whose
 names end in their units. A file that Motive exported can take the place of the file of poses. The
-module reads the rows one by one into the `_Numbers` of their trial. Then it joins them to a `Track`
-of all robots. If something cannot be read or joined, the error names the file, the line and the
-column. Whether the commands belong to the poses is checked later, when they are fitted (see
+module reads the rows one by one into the `_TrialNumbers` of their trial. Then it joins them to a
+`Track` of all robots. If something cannot be read or joined, the error names the file, the line and
+the column. Whether the commands belong to the poses is checked later, when they are fitted (see
 `explained`).
 """
 
@@ -49,11 +49,11 @@ ONE_ROBOT = "robot"
 POSES = "poses"
 DIRECTIONS = "directions"
 SPEEDS = "speeds"
-OF_WHEELS = "speeds of wheels"
-FORMS = {
+WHEEL_SPEEDS = "speeds of wheels"
+TABLE_COLUMNS = {
     DIRECTIONS: ("direction_rad",),
     SPEEDS: ("v_mm_s", "w_rad_s"),
-    OF_WHEELS: ("left_mm_s", "right_mm_s", "radius_mm"),
+    WHEEL_SPEEDS: ("left_mm_s", "right_mm_s", "radius_mm"),
     POSES: ("x_mm", "y_mm", "heading_rad"),
 }
 """The columns of each kind of table, in addition to the time.
@@ -62,7 +62,7 @@ If a table has the columns of several kinds, it is of the first of them.
 """
 UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
 """The units in which a column may be instead of that in FORMS."""
-AGAIN = 0.1
+RESTART_TOLERANCE = 0.1
 """Maximum distance of a time that falls from the first time, if it is a new start.
 
 It is relative to the time that has elapsed since the first time.
@@ -72,11 +72,11 @@ COLUMNS_SHOWN = 8
 BOTH_FILES = "name both files, such as the poses.csv and steps.csv that `tetractl export` writes"
 FORMAT = "docs/how-to/identify.md describes the format"
 """Hint that names the description of the format."""
-PAUSE_MAX_S = 86_400.0
+RECORDING_GAP_MAX_S = 86_400.0
 """Maximum time without a pose in a recording [s]: a day."""
-APART_MAX_S = 2.0
+POSE_GAP_MAX_S = 2.0
 """Maximum of the median time between two poses of a robot [s]."""
-NO_MEASUREMENT = 0.01
+LEFT_OUT_MAX = 0.01
 """Fraction of a robot's poses that are no measurement, above which a remark reports it."""
 
 POSE_ROW = np.dtype([("time", float), ("robot", float), ("pose", float, 3)])
@@ -99,16 +99,16 @@ Series = tuple[str, str]
 
 
 @dataclass(slots=True)
-class _Numbers:
+class _TrialNumbers:
     """The numbers of one trial that have been read from CSV files so far.
 
     They are kept as flat arrays, one number after another: for each pose a POSE_ROW, and for each
     command of a robot a DIRECTION_ROW or a TWIST_ROW. NaN stands for an unknown number.
 
-    - `robots` numbers the robots by name. The name "" stands for all robots.
-    - `lag_s` is the time constant of the wheels [s], 0 if the file states none.
-    - `first` and `newest` are the first and newest times [s] in a file, by column and robot.
-    - The paths are the paths of the files.
+    - `robots` numbers the robots by name. The name "" stands for all robots. - `lag_s` is the time
+    constant of the wheels [s], 0 if the file states none. - `first_times` and `newest_times` are
+    the first and newest times [s] in a file, by column and robot. - The paths are the paths of the
+    files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
@@ -118,12 +118,12 @@ class _Numbers:
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
-    first: dict[Series, float] = field(default_factory=dict)
-    newest: dict[Series, float] = field(default_factory=dict)
+    first_times: dict[Series, float] = field(default_factory=dict)
+    newest_times: dict[Series, float] = field(default_factory=dict)
 
     def pose_rows(self) -> NDArray[np.void]:
         """Return the POSE_ROWs (R,)."""
-        return _rows(self.poses, POSE_ROW)
+        return _view_as_rows(self.poses, POSE_ROW)
 
     def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
         """Read the time in a row, and check that times are in order.
@@ -138,9 +138,9 @@ class _Numbers:
             UsageError: If the time is earlier than in the previous row.
         """
         time = column.number(path, row)
-        first = self.first.setdefault(series, time)
-        newest = self.newest.get(series, time)
-        if time < newest and abs(time - first) <= AGAIN * (newest - first):
+        first = self.first_times.setdefault(series, time)
+        newest = self.newest_times.get(series, time)
+        if time < newest and abs(time - first) <= RESTART_TOLERANCE * (newest - first):
             hint = "if the file holds two recordings, number them in a column named trial"
             if not series[1]:
                 hint += "; if it holds two robots, name them in a column named robot"
@@ -153,17 +153,17 @@ class _Numbers:
                 row,
                 "; if the file holds two recordings, number them in a column named trial instead",
             )
-        self.newest[series] = time
+        self.newest_times[series] = time
         return time
 
 
-def _rows(numbers: "array[float]", row: np.dtype[np.void]) -> NDArray[np.void]:
+def _view_as_rows(numbers: "array[float]", row: np.dtype[np.void]) -> NDArray[np.void]:
     """View a flat array of numbers as structured rows."""
     return np.array(numbers).view(row)
 
 
 @dataclass(frozen=True, slots=True)
-class _Columns:
+class _TableColumns:
     """The columns of a table of poses or commands, found in its header.
 
     The column of times is separate, and all others are found by their names. For a table of poses,
@@ -171,7 +171,7 @@ class _Columns:
     """
 
     path: Path
-    form: str
+    kind: str
     time: NumberColumn
     by_name: Mapping[str, NumberColumn]
     unit: str = ""
@@ -181,7 +181,7 @@ class _Columns:
         column = self.by_name.get(name)
         return math.nan if column is None else column.optional(self.path, row)
 
-    def wrong(self, row: CsvRow, name: str, problem: str) -> UsageError:
+    def number_error(self, row: CsvRow, name: str, problem: str) -> UsageError:
         """Create the error for a wrong number in a table.
 
         Args:
@@ -192,7 +192,7 @@ class _Columns:
         return UsageError(f"{self.path}, line {row.line}: {self.by_name[name].key} {problem}")
 
 
-def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+def _add_pose(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None:
     """Add the pose in a row to a trial. It becomes NaN if the row marks it as invalid.
 
     A number that the row lacks also becomes NaN.
@@ -207,7 +207,7 @@ def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
     trial.poses.extend(pose if valid else [math.nan] * len(pose))
 
 
-def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+def _add_direction(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None:
     """Add the direction in a row to a trial. A row without a direction adds nothing.
 
     A negative lag is a `UsageError`.
@@ -219,30 +219,30 @@ def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
     observed = columns.number(row, "observed")
     robot = row.cells.get("robot", "")
     time = trial.take_time(columns.path, row, columns.time, ("directions", robot))
-    of_robot = trial.directions.setdefault(robot, array("d"))
-    of_robot.extend((time, direction, observed))
+    numbers_of_robot = trial.directions.setdefault(robot, array("d"))
+    numbers_of_robot.extend((time, direction, observed))
     lag = columns.by_name.get("lag")
     if lag is not None:
         trial.lag_s = lag.number(columns.path, row)
         if trial.lag_s < 0:
-            raise columns.wrong(row, "lag", "must not be negative")
+            raise columns.number_error(row, "lag", "must not be negative")
 
 
-def _add_speeds(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+def _add_speeds(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None:
     """Add the speed and turning rate in a row.
 
     A row may state the speeds of the robot's wheels instead, from which both are computed. If a
     number is missing, nothing was sent at this step.
     """
     trial.commands_path = columns.path
-    if columns.form == OF_WHEELS:
+    if columns.kind == WHEEL_SPEEDS:
         left = columns.number(row, "left")
         right = columns.number(row, "right")
         if math.isnan(left) or math.isnan(right):
             return
         radius = columns.by_name["radius"].number(columns.path, row)
         if radius <= 0:
-            raise columns.wrong(row, "radius", "must be above 0")
+            raise columns.number_error(row, "radius", "must be above 0")
         speed = (left + right) / 2
         turning_rate = (right - left) / (2 * radius)
     else:
@@ -255,10 +255,10 @@ def _add_speeds(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
     trial.twists.setdefault(robot, array("d")).extend((time, speed, turning_rate))
 
 
-ADD = {
+ROW_READERS = {
     DIRECTIONS: _add_direction,
     SPEEDS: _add_speeds,
-    OF_WHEELS: _add_speeds,
+    WHEEL_SPEEDS: _add_speeds,
     POSES: _add_pose,
 }
 """Functions that add a row to the numbers of its trial, by the kind of table."""
@@ -282,42 +282,42 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     Raises:
         UsageError: If data are missing, if there are too many, or if the clocks do not overlap.
     """
-    _refuse_twice(paths)
-    trials: dict[Trial, _Numbers] = {}
+    _refuse_repeated_files(paths)
+    trials: dict[Trial, _TrialNumbers] = {}
     unit = ""
     for path in paths:
         rows = table_rows(path)
-        first = next(rows, None)
-        if first is None:
+        first_row = next(rows, None)
+        if first_row is None:
             raise UsageError(f"{path}: the file has no rows below its header")
-        columns = _columns(path, first.cells)
-        if columns.form == POSES:
+        columns = _find_columns(path, first_row.cells)
+        if columns.kind == POSES:
             if unit and unit != columns.unit:
                 raise UsageError(
                     f"{path}: the lengths in this file are in {columns.unit}, but "
                     f"those in other files are in {unit}"
                 )
             unit = columns.unit
-        for row in chain([first], rows):
+        for row in chain([first_row], rows):
             trial = row.cells.get("log", row.cells.get("path", "")), row.cells.get("trial", "")
-            numbers = trials.setdefault(trial, _Numbers())
-            ADD[columns.form](numbers, columns, row)
+            numbers = trials.setdefault(trial, _TrialNumbers())
+            ROW_READERS[columns.kind](numbers, columns, row)
             if len(numbers.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
                 raise UsageError(
                     f"{path}: the file has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
     idle = _idle_robots(list(trials.values()))
     unseen = _unseen_robots(list(trials.values()))
-    return [_track(numbers, unit, trial, idle, unseen) for trial, numbers in trials.items()]
+    return [_join_track(numbers, unit, trial, idle, unseen) for trial, numbers in trials.items()]
 
 
-def _idle_robots(trials: list[_Numbers]) -> set[str]:
+def _idle_robots(trials: list[_TrialNumbers]) -> set[str]:
     """Return the robots to which no trial sends a speed.
 
     Raises:
         UsageError: If there is no other robot, or if it is unknown which robot receives a speed.
     """
-    paths = next((numbers for numbers in trials if numbers.poses_path), _Numbers())
+    paths = next((numbers for numbers in trials if numbers.poses_path), _TrialNumbers())
     in_poses = {robot for numbers in trials for robot in numbers.robots}
     sent_to = {robot for numbers in trials for robot in numbers.twists}
     if "" in sent_to or not sent_to or not in_poses:
@@ -341,7 +341,7 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
     return idle
 
 
-def _unseen_robots(trials: list[_Numbers]) -> set[str]:
+def _unseen_robots(trials: list[_TrialNumbers]) -> set[str]:
     """Return the robots that have no complete pose (x, y, heading) in any of the trials."""
     with_pose = set[str]()
     for numbers in trials:
@@ -354,7 +354,7 @@ def _unseen_robots(trials: list[_Numbers]) -> set[str]:
     return {robot for numbers in trials for robot in numbers.robots} - with_pose
 
 
-def _refuse_twice(paths: list[Path]) -> None:
+def _refuse_repeated_files(paths: list[Path]) -> None:
     """Check that no file is given twice, because its rows would count twice.
 
     Raises:
@@ -368,7 +368,7 @@ def _refuse_twice(paths: list[Path]) -> None:
         files.add(file)
 
 
-def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
+def _find_columns(path: Path, headers: Mapping[str, str]) -> _TableColumns:
     """Find the columns of a file of poses or of commands, by its header.
 
     Raises:
@@ -377,40 +377,46 @@ def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
     quantities_named = {name_and_unit(header)[0] for header in headers}
     time = find_time(path, headers)
     present: dict[str, int] = {}
-    for form, columns in FORMS.items():
+    for form, columns in TABLE_COLUMNS.items():
         quantities = dict(map(name_and_unit, columns))
         present[form] = len(quantities_named & quantities.keys())
         if present[form] < len(columns) or time is None:
             continue
         if form == POSES:
             unit, x, y = _position_columns(path, headers)
-            heading = _required(path, headers, "heading", RADIANS)
-            return _Columns(path, form, time, {"x": x, "y": y, "heading": heading}, unit)
+            heading = _get_column(path, headers, "heading", RADIANS)
+            return _TableColumns(path, form, time, {"x": x, "y": y, "heading": heading}, unit)
         by_name = {
-            name: _required(path, headers, name, UNITS[unit]) for name, unit in quantities.items()
+            name: _get_column(path, headers, name, UNITS[unit]) for name, unit in quantities.items()
         }
         if form == DIRECTIONS:
             for name in ("observed", "lag"):
                 column = find_column(path, headers, (name,), SECONDS)
                 if column is not None:
                     by_name[name] = column
-        return _Columns(path, form, time, by_name)
-    raise _incomplete(path, headers, present)
+        return _TableColumns(path, form, time, by_name)
+    raise _missing_columns_error(path, headers, present)
 
 
-def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -> UsageError:
+def _missing_columns_error(
+    path: Path, headers: Collection[str], present: dict[str, int]
+) -> UsageError:
     """Describe which columns a table lacks.
 
     The table is compared with the form of which it has most columns, `present`. If a column has a
     known quantity in an unknown unit, such as v_km_h, the message names it.
     """
-    has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SHOWN])
+    columns_found = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SHOWN])
     likeliest = max(reversed(present), key=lambda form: present[form])
-    named = {name_and_unit(header)[0] for header in headers}
-    lacks = [] if named & set(TIME_NAMES) else ["time_s"]
-    lacks += [column for column in FORMS[likeliest] if name_and_unit(column)[0] not in named]
+    quantities_present = {name_and_unit(header)[0] for header in headers}
+    missing = [] if quantities_present & set(TIME_NAMES) else ["time_s"]
+    missing += [
+        column
+        for column in TABLE_COLUMNS[likeliest]
+        if name_and_unit(column)[0] not in quantities_present
+    ]
     for header in headers:
-        for column in lacks:
+        for column in missing:
             name, unit = name_and_unit(column)
             if header.lower().startswith(f"{name}_"):
                 units = ", ".join(UNITS.get(unit, SECONDS))
@@ -420,16 +426,18 @@ def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -
                 )
     if not present[likeliest]:
         return UsageError(
-            f"{path}: the file contains neither poses nor commands; its columns are {has}", FORMAT
+            f"{path}: the file contains neither poses nor commands; its columns are "
+            f"{columns_found}",
+            FORMAT,
         )
     return UsageError(
-        f"{path}: the file contains {likeliest}, but lacks {' and '.join(lacks)}; its columns "
-        f"are {has}",
+        f"{path}: the file contains {likeliest}, but lacks {' and '.join(missing)}; its columns "
+        f"are {columns_found}",
         FORMAT,
     )
 
 
-def _required(
+def _get_column(
     path: Path, headers: Collection[str], name: str, units: Mapping[str, float]
 ) -> NumberColumn:
     """Return the column for a name that the table is known to have, in any of these units.
@@ -459,7 +467,9 @@ def _position_columns(
     )
 
 
-def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: set[str]) -> Track:
+def _join_track(
+    numbers: _TrialNumbers, unit: str, name: Trial, idle: set[str], unseen: set[str]
+) -> Track:
     """Join the numbers of a trial to one track of all its robots.
 
     Args:
@@ -482,39 +492,41 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
         )
     rows = numbers.pose_rows()
     _refuse_two_places(poses_path, rows, list(numbers.robots))
-    begin = float(rows["time"].min())
-    rows["time"] -= begin
+    start_s = float(rows["time"].min())
+    rows["time"] -= start_s
     robots = {robot: k for robot, k in numbers.robots.items() if robot not in idle | unseen}
     rows = rows[np.isin(rows["robot"], list(robots.values()))]
     if not robots:
         raise UsageError(f"{poses_path}: no robot was seen: every pose is empty")
     names = tuple(robot or ONE_ROBOT for robot in robots)
-    time, poses = _frames(poses_path, rows, len(names))
-    by_robot = [rows["time"][rows["robot"] == number] for number in robots.values()]
-    _refuse_times_apart(poses_path, begin, by_robot)
+    time, poses = _collect_frames(poses_path, rows, len(names))
+    times_by_robot = [rows["time"][rows["robot"] == number] for number in robots.values()]
+    _refuse_long_gaps(poses_path, start_s, times_by_robot)
     if numbers.twists:
-        commands = _twists(numbers, commands_path, list(robots), unit, begin)
+        commands = _collect_twists(numbers, commands_path, list(robots), unit, start_s)
     else:
-        commands = _directions(numbers, commands_path, begin)
-    if not len(commands.when):
+        commands = _collect_directions(numbers, commands_path, start_s)
+    if not len(commands.sent_s):
         raise UsageError(f"{commands_path}: the file states no direction and no speed")
-    if commands.until <= 0 or commands.when[0] >= time[-1]:
+    if commands.end_s <= 0 or commands.sent_s[0] >= time[-1]:
         raise UsageError(
             f"{commands_path}: no command acts while the robots are seen. The commands run from "
-            f"{begin + commands.when[0]:.12g} to {begin + commands.when[-1]:.12g} s, but the "
-            f"poses in {poses_path} run from {begin:.12g} to {begin + time[-1]:.12g} s",
+            f"{start_s + commands.sent_s[0]:.12g} to {start_s + commands.sent_s[-1]:.12g} s, but "
+            f"the poses in {poses_path} run from {start_s:.12g} to {start_s + time[-1]:.12g} s",
             "the times in both files must come from the same clock",
         )
     is_stated = np.asarray(np.isfinite(poses).all(axis=2))
-    is_measured = _measurements(time, poses, is_stated)
+    is_measured = _find_measurements(time, poses, is_stated)
     log, _ = name
     never_seen = (unseen - idle) & set(numbers.robots)
     if "" not in numbers.robots:
         never_seen |= set(numbers.twists) - set(numbers.robots) - {""}
     remarks: list[str] = []
-    for robot, stated, kept in zip(names, is_stated.T, is_measured.T, strict=True):
-        left_out = 1 - kept.sum() / max(stated.sum(), 1)
-        if left_out > NO_MEASUREMENT:
+    for robot, is_robot_stated, is_robot_measured in zip(
+        names, is_stated.T, is_measured.T, strict=True
+    ):
+        left_out = 1 - is_robot_measured.sum() / max(is_robot_stated.sum(), 1)
+        if left_out > LEFT_OUT_MAX:
             remarks.append(
                 f"{poses_path}: {left_out:.1%} of the poses of {printable(robot)} were left "
                 "out, because they repeat the previous pose, or jump away and back"
@@ -534,9 +546,9 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
         time=time,
         poses=np.where(is_measured[..., None], poses, 0.0),
         valid=is_measured,
-        sent=commands.when,
+        sent=commands.sent_s,
         u=commands.u,
-        until=commands.until,
+        until=commands.end_s,
         frame_age=commands.frame_age,
         lag=numbers.lag_s,
         on_wheels=True,
@@ -551,24 +563,24 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
 
 @dataclass(frozen=True, slots=True)
 class _Commands:
-    """The commands that were sent at the times `when` (C,) [s].
+    """The commands that were sent at the times `sent_s` (C,) [s].
 
     `u`, `twists` and `frame_age` have the same meaning as in `Track`.
     """
 
-    when: Floats
+    sent_s: Floats
     u: Floats
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     frame_age: float | None = None
 
     @property
-    def until(self) -> float:
+    def end_s(self) -> float:
         """Time at which the last command stops acting [s].
 
         The last command counts as long as the median time between two commands.
         """
-        gaps = np.diff(self.when)
-        return float(self.when[-1] + (np.median(gaps) if gaps.size else 0.0))
+        gaps = np.diff(self.sent_s)
+        return float(self.sent_s[-1] + (np.median(gaps) if gaps.size else 0.0))
 
 
 def names_of(robots: Collection[str]) -> str:
@@ -588,56 +600,58 @@ def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> 
         UsageError: If a robot has two places at one time.
     """
     ordered = rows[np.lexsort((rows["time"], rows["robot"]))]
-    before = ordered[:-1]
-    after = ordered[1:]
-    at_once = (before["time"] == after["time"]) & (before["robot"] == after["robot"])
-    apart = np.abs(before["pose"] - after["pose"])[:, :2].max(axis=1) > 0
-    twice = np.flatnonzero(at_once & apart)
-    if len(twice):
-        second = after[twice[0]]
-        name = names[int(second["robot"])]
+    earlier_rows = ordered[:-1]
+    later_rows = ordered[1:]
+    at_once = (earlier_rows["time"] == later_rows["time"]) & (
+        earlier_rows["robot"] == later_rows["robot"]
+    )
+    differs = np.abs(earlier_rows["pose"] - later_rows["pose"])[:, :2].max(axis=1) > 0
+    conflicts = np.flatnonzero(at_once & differs)
+    if len(conflicts):
+        conflict = later_rows[conflicts[0]]
+        name = names[int(conflict["robot"])]
         hint = "does the file hold several robots, or are its times rounded?"
         if not name:
             hint = "if the file holds several robots, name them in a column named robot"
         raise UsageError(
             f"{path}: {printable(name or ONE_ROBOT)} has two different places at the time "
-            f"{second['time']:.15g} s",
+            f"{conflict['time']:.15g} s",
             hint,
         )
 
 
-def _refuse_times_apart(path: Path, begin: float, by_robot: Sequence[Floats]) -> None:
+def _refuse_long_gaps(path: Path, start_s: float, times_by_robot: Sequence[Floats]) -> None:
     """Check that the times of each robot's poses form one recording.
 
     Args:
         path: The file of the poses.
-        begin: The time from which times count [s].
-        by_robot: The times of each robot's poses, in order [s].
+        start_s: The time from which times count [s].
+        times_by_robot: The times of each robot's poses, in order [s].
 
     Raises:
         UsageError: If there is a pause of hours or days, or if the poses are too far apart.
     """
-    gaps = [np.diff(times) for times in by_robot if len(times) > 1]
+    gaps = [np.diff(times) for times in times_by_robot if len(times) > 1]
     if not gaps:
         return
-    if max(gap.max() for gap in gaps) > PAUSE_MAX_S:
-        every = np.unique(np.concatenate(by_robot))
-        longest = int(np.diff(every).argmax())
-        pause = begin + every[longest : longest + 2]
+    if max(gap.max() for gap in gaps) > RECORDING_GAP_MAX_S:
+        all_times = np.unique(np.concatenate(times_by_robot))
+        longest = int(np.diff(all_times).argmax())
+        pause = start_s + all_times[longest : longest + 2]
         raise UsageError(
             f"{path}: the file has no pose between {pause[0]:.12g} and {pause[1]:.12g} s",
             "if the file holds two recordings, number them in a column named trial",
         )
-    apart_s = min(float(np.median(gap)) for gap in gaps)
-    if apart_s > APART_MAX_S:
+    median_gap_s = min(float(np.median(gap)) for gap in gaps)
+    if median_gap_s > POSE_GAP_MAX_S:
         raise UsageError(
-            f"{path}: successive poses of a robot are {apart_s:.3g} s apart",
-            f"poses must be at most {APART_MAX_S:g} s apart; is the time really in the unit "
+            f"{path}: successive poses of a robot are {median_gap_s:.3g} s apart",
+            f"poses must be at most {POSE_GAP_MAX_S:g} s apart; is the time really in the unit "
             "that its column states?",
         )
 
 
-def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Floats]:
+def _collect_frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Floats]:
     """Sort POSE_ROWs (R,) by time, and return times (M,) and poses (M, N, 3).
 
     Poses that are missing are NaN, and robots come in the order of their numbers. More than
@@ -646,14 +660,14 @@ def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Flo
     _, robots = np.unique(rows["robot"], return_inverse=True)
     time, frames = np.unique(rows["time"], return_inverse=True)
     if len(time) * count > POSES_MAX:
-        what = f"{count} robots at {len(time)} times"
-        raise UsageError(f"{path}: has {what}; at most {POSES_MAX} poses are read of a trial")
+        amount = f"{count} robots at {len(time)} times"
+        raise UsageError(f"{path}: has {amount}; at most {POSES_MAX} poses are read of a trial")
     poses = np.full((len(time), count, 3), np.nan)
     poses[frames, robots] = rows["pose"]
     return time, poses
 
 
-def _measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
+def _find_measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
     """Find which stated poses (M, N, 3) at times (M,) [s] are real measurements, shape (M, N)."""
     is_measured = np.zeros_like(is_stated)
     for robot in range(is_stated.shape[1]):
@@ -662,18 +676,18 @@ def _measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
     return is_measured
 
 
-def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
-    """Return the directions in order, with times counted from `begin`.
+def _collect_directions(numbers: _TrialNumbers, path: Path, start_s: float) -> _Commands:
+    """Return the directions in order, with times counted from `start_s`.
 
     Raises:
         UsageError: If robots receive different directions.
     """
     rows = np.zeros(0, DIRECTION_ROW)
-    for robot, of_robot in numbers.directions.items():
-        before = rows
-        rows = _rows(of_robot, DIRECTION_ROW)
+    for robot, numbers_of_robot in numbers.directions.items():
+        previous_rows = rows
+        rows = _view_as_rows(numbers_of_robot, DIRECTION_ROW)
         _refuse_two_commands(path, robot, rows["time"], rows["direction"][:, None])
-        if len(before) and not np.array_equal(before["direction"], rows["direction"]):
+        if len(previous_rows) and not np.array_equal(previous_rows["direction"], rows["direction"]):
             raise UsageError(
                 f"{path}: {printable(robot)} does not receive the directions of the other robots",
                 "all robots in one table must receive the same directions; if they do not, call "
@@ -682,29 +696,34 @@ def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
     ages = (rows["time"] - rows["observed"])[1:]
     ages = ages[np.isfinite(ages)]
     frame_age = max(0.0, float(np.median(ages))) if ages.size else None
-    return _Commands(rows["time"] - begin, rows["direction"].copy(), frame_age=frame_age)
+    return _Commands(rows["time"] - start_s, rows["direction"].copy(), frame_age=frame_age)
 
 
-def _twists(numbers: _Numbers, path: Path, robots: list[str], unit: str, begin: float) -> _Commands:
-    """Return the speeds and turning rates in order, with times counted from `begin`.
+def _collect_twists(
+    numbers: _TrialNumbers, path: Path, robots: list[str], unit: str, start_s: float
+) -> _Commands:
+    """Return the speeds and turning rates in order, with times counted from `start_s`.
 
     Speeds are in the unit of the poses.
     """
-    of_robot = {robot: _rows(of_one, TWIST_ROW) for robot, of_one in numbers.twists.items()}
-    for robot, rows in of_robot.items():
+    rows_by_robot = {
+        robot: _view_as_rows(numbers_of_robot, TWIST_ROW)
+        for robot, numbers_of_robot in numbers.twists.items()
+    }
+    for robot, rows in rows_by_robot.items():
         twists = np.column_stack([rows["speed"], rows["turning_rate"]])
         _refuse_two_commands(path, robot, rows["time"], twists)
-    for_all = of_robot.get("", np.zeros(0, TWIST_ROW))
-    if robots == [""] and len(of_robot) == 1:
-        (for_all,) = of_robot.values()
-    when = np.unique(np.concatenate([rows["time"] for rows in of_robot.values()]))
-    twists = np.full((len(when), len(robots), 2), np.nan)
+    rows_for_all = rows_by_robot.get("", np.zeros(0, TWIST_ROW))
+    if robots == [""] and len(rows_by_robot) == 1:
+        (rows_for_all,) = rows_by_robot.values()
+    times = np.unique(np.concatenate([rows["time"] for rows in rows_by_robot.values()]))
+    twists = np.full((len(times), len(robots), 2), np.nan)
     for i, robot in enumerate(robots):
-        rows = of_robot.get(robot, for_all)
-        row_of = np.searchsorted(when, rows["time"])
-        twists[row_of, i, 0] = rows["speed"] / METRES[unit]
-        twists[row_of, i, 1] = rows["turning_rate"]
-    return _Commands(when - begin, np.full(len(when), np.nan), twists)
+        rows = rows_by_robot.get(robot, rows_for_all)
+        command_rows = np.searchsorted(times, rows["time"])
+        twists[command_rows, i, 0] = rows["speed"] / METRES[unit]
+        twists[command_rows, i, 1] = rows["turning_rate"]
+    return _Commands(times - start_s, np.full(len(times), np.nan), twists)
 
 
 def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats) -> None:
@@ -716,11 +735,11 @@ def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats
         UsageError: If a robot receives two commands at one time.
     """
     differs = (np.diff(commands, axis=0) != 0).any(axis=1)
-    twice = np.flatnonzero((np.diff(times) == 0) & differs)
-    if len(twice):
-        who = printable(robot or ONE_ROBOT)
+    conflicts = np.flatnonzero((np.diff(times) == 0) & differs)
+    if len(conflicts):
+        robot_name = printable(robot or ONE_ROBOT)
         raise UsageError(
-            f"{path}: {who} is sent two different commands at the same time, "
-            f"{times[twice[0]]:.15g} s",
+            f"{path}: {robot_name} is sent two different commands at the same time, "
+            f"{times[conflicts[0]]:.15g} s",
             "the times of a robot's commands must increase from one to the next; are they rounded?",
         )

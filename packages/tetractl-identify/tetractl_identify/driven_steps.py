@@ -3,8 +3,8 @@
 A step is the motion from one pose to a later one, and lasts at least STEP_S. Two kinds of steps are
 left out. In steps without an acting command, the robot stands still. Steps that are FAR times
 further off than usual occur, for example, if a tracker confuses two bodies. The clocks of poses and
-commands may differ. `_delay` therefore finds the delay after which the commands explain most of the
-motion.
+commands may differ. `_find_delay` therefore finds the delay after which the commands explain most
+of the motion.
 
 Shapes: a robot has S steps in all its tracks, of which the fit uses M. One track has C commands.
 Pairs of integrals of a motion stand in columns: first of the speed, then of the turning rate.
@@ -29,25 +29,25 @@ from tetractl_identify.tracks import Track, integrals_of_sent, rows_apart
 
 STEP_S = 0.1
 """Minimum duration of a step [s]."""
-LONGEST_S = 0.55
-LONGEST = 2.2
+DURATION_LIMIT_MIN_S = 0.55
+DURATION_RATIO_MAX = 2.2
 """Multiple of the median time between two poses from which a step is left out.
 
 It must also last LONGEST_S [s] or more: then the robot was not seen.
 """
-FAR = 8.0
+OUTLIER_FACTOR = 8.0
 """Distance from the expected motion above which a step is left out [standard deviations]."""
-NEIGHBOURS = 5
+NEIGHBOURS_CHECKED = 5
 """Number of steps by which commands may act earlier or later than they seem to at first."""
 CLOCKS_S = np.arange(-200, 201) / 20
 """Delays that are tried, minus the expected one [s]."""
-PEAK = 5
+PEAK_HALF_WIDTH = 5
 """Number of neighbours on either side that a delay must exceed to count as a peak."""
-AS_GOOD = 0.1
+EXPLAINED_TOLERANCE = 0.1
 """Fraction of the motion by which a delay nearer to the expected one may explain less."""
-REVERSED = 0.8
+REVERSED_TURN_FACTOR = 0.8
 """Fraction of the motion for which a delay counts if robots turn right where they are sent left."""
-CLIPPED = 0.02
+CLIPPED_QUANTILE = 0.02
 """Fraction of the rates that is clipped at either end."""
 FIRST_LAG_S = 0.1
 """Lag of both motions that is assumed while steps are chosen [s]."""
@@ -55,7 +55,7 @@ DEAD_TIME_UNIT_S = 0.05
 """Usual change of a dead time [s]."""
 INTEGRALS_KEPT = 64
 """Number of integrals that are not computed again: most parameters do not change them."""
-ONE_RATIO = 0.999
+PROPORTIONAL_CORRELATION = 0.999
 """Squared correlation of the two integrals above which the data cannot tell them apart.
 
 This happens on circles. The motion is then attributed to the robot's own command.
@@ -101,17 +101,17 @@ class DrivenTrack:
         """
         if len(self.pose_s) < 2 or not len(self.sent_s):
             return np.zeros((len(self.steps.turned), 2))
-        apart_s = np.diff(self.sent_s)
-        decay = np.exp(-apart_s / lag)
+        gaps_s = np.diff(self.sent_s)
+        decay = np.exp(-gaps_s / lag)
         # r at each command: r[k + 1] = decay[k] r[k] + (1 - decay[k]) u[k], a system in two bands
         bands = np.ones((2, len(self.commands)))
         bands[1, :-1] = -decay
         bands[1, -1] = 0.0
-        first = self.commands[:1]
-        rest = (1 - decay)[:, None] * self.commands[:-1]
-        rates = solve_banded((1, 0), bands, np.vstack([first, rest]))
-        of_commands = np.cumsum(apart_s[:, None] * self.commands[:-1], axis=0)
-        total = np.vstack([np.zeros((1, 2)), of_commands])
+        first_command = self.commands[:1]
+        approached = (1 - decay)[:, None] * self.commands[:-1]
+        rates = solve_banded((1, 0), bands, np.vstack([first_command, approached]))
+        command_integrals = np.cumsum(gaps_s[:, None] * self.commands[:-1], axis=0)
+        total = np.vstack([np.zeros((1, 2)), command_integrals])
 
         middle_s = (self.pose_s[0] + self.pose_s[-1]) / 2
         acting_s = self.pose_s - dead_time + drift * (self.pose_s - middle_s)
@@ -129,8 +129,8 @@ class DrivenTrack:
         """
         if not len(self.sent_s):
             return np.zeros((len(self.steps.turned), 2))
-        until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
-        return np.diff(until, axis=0)
+        sent_until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
+        return np.diff(sent_until, axis=0)
 
     def acts(self, dead_time: float) -> Bools:
         """Find the steps during which some command acts, shape (S,).
@@ -197,7 +197,7 @@ class UsedSteps:
     in_one_ratio: bool
 
     @property
-    def way(self) -> Floats:
+    def distance_along(self) -> Floats:
         """Distance travelled along the heading in each step, shape (M,) [length unit].
 
         It is negative for a step backwards.
@@ -207,7 +207,7 @@ class UsedSteps:
     @property
     def speed(self) -> float:
         """The median of the robot's speed over the steps [length unit/s]. It is never 0."""
-        return max(float(np.median(np.abs(self.way) / self.duration_s)), 1e-12)
+        return max(float(np.median(np.abs(self.distance_along) / self.duration_s)), 1e-12)
 
     def driven(self, integrals: Floats) -> DrivenSteps:
         """Combine the steps with the distances and turns commanded in them, shape (M, 2)."""
@@ -260,7 +260,7 @@ def integrals_of(
     return np.concatenate([track.integrals(dead_time, lag, drift) for track in tracks])
 
 
-def used_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> UsedSteps:
+def choose_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> UsedSteps:
     """Choose the steps of a robot to use.
 
     Args:
@@ -272,16 +272,16 @@ def used_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> UsedS
         UsageError: If it drives in too few steps.
     """
     steps = PoseSteps.together([track.steps for track in tracks])
-    drives = steps.duration_s < _longest(steps)
+    drives = steps.duration_s < _duration_limit(steps)
     _require_enough(name, drives)
-    dead_time = _delay(tracks, steps, expected_s + FIRST_LAG_S) - FIRST_LAG_S
+    dead_time = _find_delay(tracks, steps, expected_s + FIRST_LAG_S) - FIRST_LAG_S
     driven = integrals_of(tracks, dead_time, FIRST_LAG_S)
     acts = np.concatenate([track.acts(dead_time) for track in tracks])
     drives &= acts & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
     _require_enough(name, drives)
-    way = steps.moved.real
+    moved_along = steps.moved.real
     turned = steps.turned
-    far_off = _far_off(turned, driven, drives) | _far_off(way, driven, drives)
+    far_off = _far_off(turned, driven, drives) | _far_off(moved_along, driven, drives)
     rows = np.flatnonzero(drives & ~far_off)
     ends_of_tracks = np.cumsum([len(track.steps.turned) for track in tracks])[:-1]
     begin_s = np.concatenate([track.pose_s[:-1] for track in tracks])
@@ -311,17 +311,19 @@ def _are_in_one_ratio(driven: Floats) -> bool:
     """
     lengths = np.linalg.norm(driven, axis=0)
     product = float(driven[:, 0] @ driven[:, 1])
-    return bool(lengths.all()) and product**2 > ONE_RATIO * float(np.prod(lengths)) ** 2
+    return (
+        bool(lengths.all()) and product**2 > PROPORTIONAL_CORRELATION * float(np.prod(lengths)) ** 2
+    )
 
 
-def _longest(steps: PoseSteps) -> float:
+def _duration_limit(steps: PoseSteps) -> float:
     """Compute the duration above which a step is left out [s]: LONGEST times the median.
 
     It is at least LONGEST_S, also if there are no steps.
     """
     if not len(steps.duration_s):
-        return LONGEST_S
-    return max(LONGEST_S, LONGEST * float(np.median(steps.duration_s)))
+        return DURATION_LIMIT_MIN_S
+    return max(DURATION_LIMIT_MIN_S, DURATION_RATIO_MAX * float(np.median(steps.duration_s)))
 
 
 def _require_enough(name: str, drives: Bools) -> None:
@@ -338,21 +340,21 @@ def _require_enough(name: str, drives: Bools) -> None:
         )
 
 
-def _delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
+def _find_delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
     """Find the delay after which the commands explain most of the motion [s].
 
     If several delays explain nearly as much (AS_GOOD), the result is the one nearest to the
     expected delay.
     """
     delays = expected_s + CLOCKS_S
-    is_seen = steps.duration_s < _longest(steps)
+    is_seen = steps.duration_s < _duration_limit(steps)
     motion = _usual_rates(steps.at(is_seen))
-    shares = np.zeros(len(delays))
+    fractions = np.zeros(len(delays))
     for i, delay in enumerate(delays.tolist()):
         sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
-        shares[i] = _share(motion, sent[is_seen])
-    is_peak = (shares == maximum_filter1d(shares, 2 * PEAK + 1)) & (
-        shares >= shares.max() - AS_GOOD
+        fractions[i] = _explained_fraction(motion, sent[is_seen])
+    is_peak = (fractions == maximum_filter1d(fractions, 2 * PEAK_HALF_WIDTH + 1)) & (
+        fractions >= fractions.max() - EXPLAINED_TOLERANCE
     )
     peaks = delays[is_peak]
     return float(peaks[np.abs(peaks - expected_s).argmin()])
@@ -364,30 +366,34 @@ def _usual_rates(steps: PoseSteps) -> Floats:
     The values are clipped to usual values, because a tracker may confuse two bodies.
     """
     motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
-    low, high = np.quantile(motion, (CLIPPED, 1 - CLIPPED), axis=1, keepdims=True)
-    return np.clip(motion, low, high)
+    lower, upper = np.quantile(
+        motion, (CLIPPED_QUANTILE, 1 - CLIPPED_QUANTILE), axis=1, keepdims=True
+    )
+    return np.clip(motion, lower, upper)
 
 
-def _share(motion: Floats, sent: Floats) -> float:
+def _explained_fraction(motion: Floats, sent: Floats) -> float:
     """Compute the fraction of a motion (3, S) that the commanded rates (S, 2) explain.
 
     The motion is turning rate, speed ahead and speed aside. If the robot does not turn in the
     commanded sense, the fraction is multiplied by REVERSED.
     """
-    turn_rate, ahead, aside = motion
+    turn_rate, speed_ahead, speed_aside = motion
     speed, rate = sent.T
-    of_turns = _correlation(rate, turn_rate)
-    of_ways = math.hypot(_correlation(speed, ahead), _correlation(speed, aside))
-    unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
-    return (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
+    turn_correlation = _correlate(rate, turn_rate)
+    distance_correlation = math.hypot(
+        _correlate(speed, speed_ahead), _correlate(speed, speed_aside)
+    )
+    unexplained = (1 - turn_correlation**2) * (1 - min(distance_correlation, 1.0) ** 2)
+    return (1 - unexplained) * (1.0 if turn_correlation > 0 else REVERSED_TURN_FACTOR)
 
 
-def _correlation(first: Floats, second: Floats) -> float:
+def _correlate(first_series: Floats, second_series: Floats) -> float:
     """Compute the correlation of two series (S,). It is 0 if one of them never changes."""
-    a = first - first.mean()
-    b = second - second.mean()
-    lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / (lengths + 1e-300)
+    first_deviations = first_series - first_series.mean()
+    second_deviations = second_series - second_series.mean()
+    lengths = float(np.linalg.norm(first_deviations) * np.linalg.norm(second_deviations))
+    return float(first_deviations @ second_deviations) / (lengths + 1e-300)
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
@@ -400,6 +406,6 @@ def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
     expected = driven @ robust_gains(measured[drives], driven[drives])
     residuals = np.abs(measured - expected)
     usual = STD_OF_MEDIAN * np.median(residuals[drives])
-    near = 2 * NEIGHBOURS + 1
-    changes = maximum_filter1d(expected, near) - minimum_filter1d(expected, near)
-    return residuals > FAR * usual + changes + 1e-9
+    window = 2 * NEIGHBOURS_CHECKED + 1
+    changes = maximum_filter1d(expected, window) - minimum_filter1d(expected, window)
+    return residuals > OUTLIER_FACTOR * usual + changes + 1e-9

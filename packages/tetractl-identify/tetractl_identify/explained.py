@@ -25,9 +25,9 @@ from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats, Integers
 from tetractl_identify.pose_steps import Complex
 
-HALF = 0.5
+EXPLAINED_MIN = 0.5
 """Fraction of the motion below which the commands and the poses do not belong together."""
-SURE = 3.0
+NOISE_STDS = 3.0
 """Excess of a motion over the noise above which it is significant.
 
 It is the number of standard deviations of the noise's sum of squares.
@@ -44,13 +44,14 @@ class Explained:
 
     Attributes:
         fraction: The explained fraction, from 0 to 1. None if there is no significant motion.
-        rest: Sum of squares that neither the commands nor the noise of the poses explain.
-        asked: Sum of squares that the commands ask for.
+        unexplained_sum: Sum of squares that neither the commands nor the noise of the poses
+            explain.
+        asked_sum: Sum of squares that the commands ask for.
     """
 
     fraction: float | None
-    rest: float
-    asked: float
+    unexplained_sum: float
+    asked_sum: float
 
     def is_contradicted(self, may_follow: bool) -> bool:
         """Check whether the motion contradicts the commands.
@@ -61,57 +62,66 @@ class Explained:
         Args:
             may_follow: Whether the interval of the fitted gain contains usual gains.
         """
-        if self.fraction is None or self.fraction >= HALF:
+        if self.fraction is None or self.fraction >= EXPLAINED_MIN:
             return False
-        return self.asked >= self.rest or not may_follow
+        return self.asked_sum >= self.unexplained_sum or not may_follow
 
     def __str__(self) -> str:
         return "-" if self.fraction is None else f"{self.fraction:.0%}"
 
 
-def explained(
-    measured: Complex | Floats, fitted: Floats, asked: Floats, noise: float, windows: Integers
+def explain_steps(
+    measured_steps: Complex | Floats,
+    fitted_steps: Floats,
+    asked_steps: Floats,
+    noise: float,
+    windows: Integers,
 ) -> Explained:
     """Compute how much of the measured steps the commands explain.
 
     Args:
-        measured: Measured turns, shape (M,), or complex distances along and across the heading.
-        fitted: Steps that the model predicts from the commands, shape (M,).
-        asked: Steps that the commands ask for, shape (M,).
+        measured_steps: Measured turns, shape (M,), or complex distances along and across the
+            heading.
+        fitted_steps: Steps that the model predicts from the commands, shape (M,).
+        asked_steps: Steps that the commands ask for, shape (M,).
         noise: Standard deviation of each component of a pose.
         windows: Index of the window that contains each step, shape (M,). The steps of a window
             follow one another without a gap.
     """
-    components = 2 if np.iscomplexobj(measured) else 1
+    components = 2 if np.iscomplexobj(measured_steps) else 1
     by_scale: list[Explained] = []
-    for groups in (np.arange(len(fitted)), windows):
+    for groups in (np.arange(len(fitted_steps)), windows):
         _, group = np.unique(groups, return_inverse=True)
-        moved = _sums(measured, group)
+        moved = _sum_by_group(measured_steps, group)
         total = float(np.square(moved).sum())
         count = components * (group.max(initial=-1) + 1)
-        of_noise = 2 * noise**2 * count  # a step has the noise of two poses
-        unexplained = np.square(moved - _sums(fitted, group)).sum()
+        noise_sum = 2 * noise**2 * count  # a step has the noise of two poses
+        unexplained = np.square(moved - _sum_by_group(fitted_steps, group)).sum()
         # a length has the noise of one component: the other one only turns it
-        rest = max(float(unexplained) - of_noise / components, 0.0)
-        is_significant = total > of_noise * (1 + SURE * math.sqrt(3 / max(count, 1)))
-        fraction = max(0.0, 1 - rest / (total - of_noise)) if is_significant else None
-        by_scale.append(Explained(fraction, rest, float(np.square(_sums(asked, group)).sum())))
+        unexplained_sum = max(float(unexplained) - noise_sum / components, 0.0)
+        is_significant = total > noise_sum * (1 + NOISE_STDS * math.sqrt(3 / max(count, 1)))
+        fraction = max(0.0, 1 - unexplained_sum / (total - noise_sum)) if is_significant else None
+        by_scale.append(
+            Explained(
+                fraction, unexplained_sum, float(np.square(_sum_by_group(asked_steps, group)).sum())
+            )
+        )
     return max(by_scale, key=lambda scale: -1.0 if scale.fraction is None else scale.fraction)
 
 
-def _sums(steps: Complex | Floats, group: Integers) -> Floats:
+def _sum_by_group(steps: Complex | Floats, group: Integers) -> Floats:
     """Add the steps (M,) of each group.
 
     Complex steps give lengths, which are negative if they lead backwards.
     """
-    ahead = np.bincount(group, np.real(steps)).astype(np.float64)
+    along = np.bincount(group, np.real(steps)).astype(np.float64)
     if not np.iscomplexobj(steps):
-        return ahead
+        return along
     across = np.bincount(group, np.imag(steps)).astype(np.float64)
-    return np.copysign(np.hypot(ahead, across), ahead)
+    return np.copysign(np.hypot(along, across), along)
 
 
-def windows_of(begin_s: Floats, end_s: Floats) -> Integers:
+def assign_windows(begin_s: Floats, end_s: Floats) -> Integers:
     """Assign steps (M,) from `begin_s` to `end_s` [s] to windows that last WINDOW_S.
 
     A gap between two steps starts a new window.

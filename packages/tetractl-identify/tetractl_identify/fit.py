@@ -16,7 +16,7 @@ Then it does at least ROUNDS rounds. Each round passes over all tracks twice:
 The filter estimates a, speed and bias as constant states with wide priors. The likelihood is
 therefore the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the
 speed, bias, dead time, ln of the measurement noise, and the random walks. They are widened as the
-differences between blocks of BLOCK_S require (`_Fit._widen`).
+differences between blocks of BLOCK_S require (`_Fit._widen_deviations`).
 
 The model does not fit two kinds of robots. One kind has a speed that wanders from second to second.
 The other has heading residuals that are not white, by the test of Ljung and Box ("On a measure of
@@ -33,19 +33,19 @@ from tetractl.control.estimation.filter_start import HEADING_NOISE, POSITION_NOI
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.likelihood import NORMAL, SampleInterval, newton_step
 from tetractl_identify.passes import (
-    WANDER_S,
-    Passed,
+    SPEED_BLOCK_S,
     PassPrior,
+    PassResult,
     TrackFrames,
     intervals_used,
     position_noise,
-    run,
+    run_filter,
     speed_wander,
 )
 
-ROUNDS = 6
+ROUNDS_MIN = 6
 """Number of rounds of a fit."""
-ROUNDS_MOST = 20
+ROUNDS_MAX = 20
 """Maximum number of rounds if the dead time has not settled.
 
 That happens where directions turn smoothly: a sine of .8 rad/s gave an a of 4.16 instead of 4 after
@@ -54,49 +54,49 @@ six rounds.
 SETTLED_S = 3e-4
 """Change in a round below which a dead time has settled, if it is not below half its deviation [s].
 """
-RATES = (1.0, 0.4, 2.5)
+RATE_FACTORS = (1.0, 0.4, 2.5)
 """Factors on the expected a, from which the first pass starts."""
-REACH_S = 0.3
-APART_S = 0.02
+GRID_REACH_S = 0.3
+GRID_SPACING_S = 0.02
 """Spacing of the first pass's dead times [s]. REACH_S is half the width of their range."""
-SEARCHED_FROM_S = -0.5
+SEARCH_FROM_S = -0.5
 """Minimum of the dead times that are searched if it is unknown [s]."""
-SEARCHED_UNTIL_S = 2.0
+SEARCH_UNTIL_S = 2.0
 """Maximum of the dead times that are searched if it is unknown [s]."""
-SEARCHED_APART_S = 0.05
+SEARCH_SPACING_S = 0.05
 """Spacing of the dead times that are searched if it is unknown [s].
 
 Below 0, times come from two clocks.
 """
-USUAL_S = 0.05  # dead time from which the fit begins if none is found [s]
+DEFAULT_DEAD_TIME_S = 0.05  # dead time from which the fit begins if none is found [s]
 FIRST_STD = np.array([0.5, 0.5, 0.2])
 """Prior standard deviations of ln a, ln of the speed and bias [rad] in the first pass."""
-MOST_STD = np.array([2.0, 0.5, 1.0])
+PRIOR_STD_MAX = np.array([2.0, 0.5, 1.0])
 """Maximum prior standard deviations of ln a, ln of the speed and bias [rad] in any pass."""
-WIDER = 10.0
+PRIOR_WIDENING = 10.0
 """Prior standard deviation of a pass, relative to the deviation after the previous pass."""
-POINTS = np.arange(-2.0, 3.0)
+PARABOLA_POINTS = np.arange(-2.0, 3.0)
 """Dead times through which a parabola is fitted.
 
 They are differences from the likeliest dead time so far, in its standard deviations.
 """
-SHRINKS_TO = 0.2
-GROWS_TO = 5.0
+STD_RATIO_MIN = 0.2
+STD_RATIO_MAX = 5.0
 """Maximum ratio of the new standard deviation of the dead time to the previous one.
 
 SHRINKS_TO is the minimum.
 """
 UNKNOWN_S = 0.3
 """Standard deviation from which a dead time counts as unknown [s]."""
-LN_MOST = 50.0
+LN_NOISE_RATIO_MAX = 50.0
 """Maximum logarithm of the ratio of a noise to the usual one."""
 NOISE_PRIOR_STD = 5.0
 """Prior standard deviation of the noise's parameters."""
-CERTAIN_STD = 1e-6
+GIVEN_STD = 1e-6
 """Prior standard deviation of a, speed and bias that are given."""
 BLOCK_S = 20.0
 """Duration of the blocks whose differences give the intervals [s]."""
-BLOCKS_LEAST = 8
+BLOCKS_MIN = 8
 """Minimum number of the blocks whose differences give the intervals.
 
 If necessary, they are shorter. For 10 runs of real robots, deviations of gains from blocks of 2,
@@ -107,21 +107,21 @@ DEAD_TIME = 7
 
 The other seven precede it: noise, ln a, ln of the speed and bias.
 """
-FAR = np.array([3.0, 1.0, 1.5])
+HALF_WIDTH_MAX = np.array([3.0, 1.0, 1.5])
 """Half widths of the intervals of ln a, ln speed and bias [rad] above which they are unlimited."""
-LAGS = 5
-DOUBT = 0.001
+RESIDUAL_LAGS = 5
+WHITENESS_SIGNIFICANCE = 0.001
 """Significance level of the test of residuals. LAGS is the number of its lags."""
-CLIPPED = 4.0
+RESIDUAL_CLIP = 4.0
 """Magnitude to which larger residuals are clipped [standard deviations]."""
-RESOLVED_S = 1e-3
+DEAD_TIME_RESOLUTION_S = 1e-3
 """Time below 0 that no recording distinguishes from 0 [s].
 
 If the interval of a dead time ends above -RESOLVED_S, its part below 0 is cut off.
 """
-RESOLVED = 1e-3
+HEADING_MISFIT_MIN = 1e-3
 """Standard deviation of heading residuals below which no camera shows a misfit [rad]."""
-DELAY_S = 7e-4
+RADIO_DELAY_ERROR_S = 7e-4
 """How far the radio's delay may be from the delay that a host assumes [s].
 
 Hosts of lagging wheels send rates for the headings after that delay, so robots turn as if a were
@@ -131,7 +131,7 @@ each; benchmarks/identify_coverage.py --bench).
 """
 HEADING = "heading"
 ALONG = "along the path"
-WANDERS = 0.03
+SPEED_WANDER_MAX = 0.03
 """Relative standard deviation of a robot's speed over a second above which the model does not fit.
 
 In trials of the bench it is at most 0.010, for robots that slip by 20 % in half of a trial at least
@@ -193,39 +193,41 @@ def fit(
     Returns:
         The dead time that all robots share [s], and the values of each robot.
     """
-    state = _Fit(frames, a, speed, dead_time)
-    for count in range(ROUNDS_MOST):
+    state = _RobotFit(frames, a, speed, dead_time)
+    for count in range(ROUNDS_MAX):
         before_s = state.tau
         state.fit_noise()
         state.fit_motion()
-        if count + 1 >= ROUNDS and abs(state.tau - before_s) < max(SETTLED_S, state.tau_std / 2):
+        if count + 1 >= ROUNDS_MIN and abs(state.tau - before_s) < max(
+            SETTLED_S, state.tau_std / 2
+        ):
             break
     return state.result(names, all_commands)
 
 
-def _searched(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
+def _search_dead_time(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
     """Find the most likely dead time on a grid [s].
 
     Robots `rows` (R,) are tried with each factor of RATES. If the result is at an end of the grid,
     nothing fits, and USUAL_S is returned.
     """
-    taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
-    passed = run([frames], rows, prior, taus, SEARCHED_APART_S)
-    best = _likeliest(passed)
-    return USUAL_S if best in (0, len(taus) - 1) else float(taus[best])
+    taus = np.arange(SEARCH_FROM_S, SEARCH_UNTIL_S, SEARCH_SPACING_S)
+    result = run_filter([frames], rows, prior, taus, SEARCH_SPACING_S)
+    best = _likeliest_dead_time(result)
+    return DEFAULT_DEAD_TIME_S if best in (0, len(taus) - 1) else float(taus[best])
 
 
-def _likeliest(passed: Passed) -> int:
+def _likeliest_dead_time(result: PassResult) -> int:
     """Return the index of the dead time that is most likely for all robots together.
 
     The pass must have tried each factor of RATES, and each robot takes its most likely factor.
     """
-    by_rate = passed.likelihood.reshape(len(passed.likelihood), -1, len(RATES))
+    by_rate = result.likelihood.reshape(len(result.likelihood), -1, len(RATE_FACTORS))
     of_all_robots = by_rate.max(axis=2).sum(axis=1)
     return int(of_all_robots.argmax())
 
 
-class _Fit:
+class _RobotFit:
     """The parameters of a fit, which improve round by round.
 
     The parameters are the dead time `tau`, the means and standard deviations (N, 3) of ln a, ln of
@@ -240,7 +242,7 @@ class _Fit:
     ) -> None:
         self.frames = frames
         count = len(a)
-        self._unit = np.column_stack(
+        self._noise_unit = np.column_stack(
             [
                 POSITION_NOISE_S * speed,
                 SLIP * speed,
@@ -250,34 +252,40 @@ class _Fit:
         )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
         # from much less than the true noise of positions, the walk of headings may end at 0
-        self.noise[:, 0] = np.log(np.maximum(position_noise(frames) / self._unit[:, 0], 1.0))
+        self.noise[:, 0] = np.log(np.maximum(position_noise(frames) / self._noise_unit[:, 0], 1.0))
         self.noise_std = np.ones_like(self.noise)
         no_bias = np.zeros(count)
         self.mean = np.column_stack([np.log(a), np.log(speed), no_bias])
-        self.std = np.tile(FIRST_STD / WIDER, (count, 1))
-        self.tau, self.mean, self.std = self._start(dead_time)
-        self.tau_std = APART_S / 2
+        self.std = np.tile(FIRST_STD / PRIOR_WIDENING, (count, 1))
+        self.tau, self.mean, self.std = self._find_start(dead_time)
+        self.tau_std = GRID_SPACING_S / 2
 
-    def _start(self, dead_time: float | None) -> tuple[float, Floats, Floats]:
+    def _find_start(self, dead_time: float | None) -> tuple[float, Floats, Floats]:
         """Find the most likely dead time, and the means and deviations to start from.
 
         The dead time is searched around the expected one, or everywhere if it is unknown. Each
         robot starts with the most likely factor of RATES.
         """
         count = len(self.mean)
-        rows = np.repeat(np.arange(count), len(RATES))
-        prior = self._prior(rows, self.noise[rows])
-        prior.mean[:, 0] += np.tile(np.log(RATES), count)
+        rows = np.repeat(np.arange(count), len(RATE_FACTORS))
+        prior = self._build_prior(rows, self.noise[rows])
+        prior.mean[:, 0] += np.tile(np.log(RATE_FACTORS), count)
         longest = max(self.frames, key=lambda track: len(track.time))
         if dead_time is None:
-            dead_time = _searched(longest, rows, prior)
-        least = dead_time - REACH_S if dead_time < 0 else max(0.0, dead_time - REACH_S)
-        taus = np.arange(least, dead_time + REACH_S, APART_S)
-        passed = run([longest], rows, prior, taus, APART_S)
-        best = _likeliest(passed)
-        best_rates = passed.likelihood[best].reshape(count, len(RATES)).argmax(axis=1)
-        best_rows = np.arange(count) * len(RATES) + best_rates
-        return float(taus[best]), passed.mean[best, best_rows], passed.std[best, best_rows]
+            dead_time = _search_dead_time(longest, rows, prior)
+        earliest_s = (
+            dead_time - GRID_REACH_S if dead_time < 0 else max(0.0, dead_time - GRID_REACH_S)
+        )
+        taus = np.arange(earliest_s, dead_time + GRID_REACH_S, GRID_SPACING_S)
+        result = run_filter([longest], rows, prior, taus, GRID_SPACING_S)
+        likeliest = _likeliest_dead_time(result)
+        best_rates = result.likelihood[likeliest].reshape(count, len(RATE_FACTORS)).argmax(axis=1)
+        best_rows = np.arange(count) * len(RATE_FACTORS) + best_rates
+        return (
+            float(taus[likeliest]),
+            result.mean[likeliest, best_rows],
+            result.std[likeliest, best_rows],
+        )
 
     def fit_noise(self) -> None:
         """Do one Newton step for the parameters of the noise, and set their standard deviations."""
@@ -285,13 +293,13 @@ class _Fit:
         def likelihood(noise: Floats) -> Floats:
             """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
             rows = np.repeat(np.arange(len(noise)), noise.shape[1])
-            prior = self._prior(rows, noise.reshape(-1, 4))
-            passed = run(self.frames, rows, prior, np.array([self.tau]))
-            return passed.likelihood.reshape(noise.shape[:2])
+            prior = self._build_prior(rows, noise.reshape(-1, 4))
+            result = run_filter(self.frames, rows, prior, np.array([self.tau]))
+            return result.likelihood.reshape(noise.shape[:2])
 
         self.noise, self.noise_std = newton_step(likelihood, self.noise, NOISE_PRIOR_STD)
 
-    def fit_motion(self, watched: bool = False) -> Passed:
+    def fit_motion(self, watched: bool = False) -> PassResult:
         """Fit the dead time, a, speed and bias with the present noise.
 
         The dead time and its standard deviation come from a parabola through the likelihoods. The
@@ -302,64 +310,66 @@ class _Fit:
             The pass with dead times around the previous one.
         """
         rows = np.arange(len(self.mean))
-        prior = self._prior(rows, self.noise)
-        taus = self.tau + POINTS * self.tau_std
-        passed = run(self.frames, rows, prior, taus, watched=watched)
-        likelihood = passed.likelihood.sum(axis=1)
-        bend, slope, _ = np.polyfit(POINTS, likelihood, 2)
-        best = -slope / (2 * bend) if bend < 0 else POINTS[likelihood.argmax()]
-        best = float(np.clip(best, 2 * POINTS[0], 2 * POINTS[-1]))
-        width = np.sqrt(0.5 / max(-bend, 1e-9))
-        factor = float(np.clip(width, SHRINKS_TO, GROWS_TO))
+        prior = self._build_prior(rows, self.noise)
+        taus = self.tau + PARABOLA_POINTS * self.tau_std
+        result = run_filter(self.frames, rows, prior, taus, watched=watched)
+        likelihood = result.likelihood.sum(axis=1)
+        curvature, slope, _ = np.polyfit(PARABOLA_POINTS, likelihood, 2)
+        shift = -slope / (2 * curvature) if curvature < 0 else PARABOLA_POINTS[likelihood.argmax()]
+        shift = float(np.clip(shift, 2 * PARABOLA_POINTS[0], 2 * PARABOLA_POINTS[-1]))
+        width = np.sqrt(0.5 / max(-curvature, 1e-9))
+        factor = float(np.clip(width, STD_RATIO_MIN, STD_RATIO_MAX))
         tau_std = min(self.tau_std * factor, UNKNOWN_S)
-        rise, middle = np.polyfit(POINTS, passed.mean.reshape(len(POINTS), -1), 1)
-        by_dead_time = rise.reshape(self.mean.shape) * tau_std / self.tau_std
-        self.mean = (middle + best * rise).reshape(self.mean.shape)
-        self.std = np.hypot(passed.std[len(POINTS) // 2], by_dead_time)
-        self.tau += best * self.tau_std
+        mean_slope, mean_at_center = np.polyfit(
+            PARABOLA_POINTS, result.mean.reshape(len(PARABOLA_POINTS), -1), 1
+        )
+        by_dead_time = mean_slope.reshape(self.mean.shape) * tau_std / self.tau_std
+        self.mean = (mean_at_center + shift * mean_slope).reshape(self.mean.shape)
+        self.std = np.hypot(result.std[len(PARABOLA_POINTS) // 2], by_dead_time)
+        self.tau += shift * self.tau_std
         self.tau_std = tau_std
-        return passed
+        return result
 
-    def _prior(self, rows: np.ndarray, noise: Floats) -> PassPrior:
+    def _build_prior(self, rows: np.ndarray, noise: Floats) -> PassPrior:
         """Create the prior of a pass for robots `rows` (R,) with parameters of the noise (R, 4).
 
         It is WIDER times as wide as the present estimate, up to MOST_STD.
         """
-        std = np.minimum(WIDER * self.std, MOST_STD)[rows]
-        deviations = self._deviations(rows, noise)
+        std = np.minimum(PRIOR_WIDENING * self.std, PRIOR_STD_MAX)[rows]
+        deviations = self._to_deviations(rows, noise)
         return PassPrior(
             mean=self.mean[rows], std=std, noise=deviations[:, ::2], walk=deviations[:, 1::2]
         )
 
-    def _deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
+    def _to_deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
         """Convert noise parameters (R, 4) of robots `rows` (R,) to standard deviations (R, 4).
 
         Even columns hold logarithms, and odd columns hold factors whose sign does not
         count.
         """
         factors = np.abs(noise)
-        factors[:, ::2] = np.exp(np.minimum(noise[:, ::2], LN_MOST))
-        return self._unit[rows] * factors
+        factors[:, ::2] = np.exp(np.minimum(noise[:, ::2], LN_NOISE_RATIO_MAX))
+        return self._noise_unit[rows] * factors
 
-    def _widen(self) -> None:
+    def _widen_deviations(self) -> None:
         """Widen the deviations as the differences between blocks require.
 
         For each parameter, the factor is the square root of a ratio: the variance of the slopes of
         the blocks, divided by the curvature of the likelihood.
         """
-        base, up, down = self._by_blocks()
-        slopes = (up - down) / 2
-        curvatures = 2 * base - up - down
+        base, raised, lowered = self._compute_block_likelihoods()
+        slopes = (raised - lowered) / 2
+        curvatures = 2 * base - raised - lowered
         slopes[..., DEAD_TIME:] = slopes[..., DEAD_TIME:].sum(axis=1, keepdims=True)
         curvatures[..., DEAD_TIME:] = curvatures[..., DEAD_TIME:].sum(axis=1, keepdims=True)
         spread = len(slopes) * np.var(slopes, axis=0, ddof=1)
         expected = np.maximum(curvatures.sum(axis=0), 1.0)  # 1 without correlated parameters
-        wider = np.maximum(wider_of_blocks(curvatures) * np.sqrt(spread / expected), 1.0)
-        self.noise_std = self.noise_std * wider[:, :4]
-        self.std = self.std * wider[:, 4:DEAD_TIME]
-        self.tau_std *= float(wider[0, DEAD_TIME])
+        widening = np.maximum(widening_from_blocks(curvatures) * np.sqrt(spread / expected), 1.0)
+        self.noise_std = self.noise_std * widening[:, :4]
+        self.std = self.std * widening[:, 4:DEAD_TIME]
+        self.tau_std *= float(widening[0, DEAD_TIME])
 
-    def _by_blocks(self) -> tuple[Floats, Floats, Floats]:
+    def _compute_block_likelihoods(self) -> tuple[Floats, Floats, Floats]:
         """Compute the ln likelihood of each block of each robot (B, N, 8), for varied parameters.
 
         The three results use the present parameters, each parameter raised by its deviation, and
@@ -367,27 +377,27 @@ class _Fit:
         """
         count = len(self.mean)
         durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in self.frames]
-        ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
-        blocks = np.split(block_numbers(np.concatenate(durations_s)), ends)
+        track_ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
+        blocks = np.split(block_numbers(np.concatenate(durations_s)), track_ends)
         changes = np.vstack([np.eye(DEAD_TIME), -np.eye(DEAD_TIME)])
         rows = np.repeat(np.arange(count), len(changes))
         changes = np.tile(changes, (count, 1))
         noise = self.noise[rows] + self.noise_std[rows] * changes[:, :4]
-        prior = self._prior(rows, noise)
+        prior = self._build_prior(rows, noise)
         prior.mean[...] += self.std[rows] * changes[:, 4:]
-        prior.std[...] = CERTAIN_STD
-        changed = run(self.frames, rows, prior, np.array([self.tau]), blocks=blocks)
-        by_parameter = changed.by_block.reshape(-1, count, 2 * DEAD_TIME)
+        prior.std[...] = GIVEN_STD
+        changed = run_filter(self.frames, rows, prior, np.array([self.tau]), blocks=blocks)
+        by_parameter = changed.block_ln_likelihoods.reshape(-1, count, 2 * DEAD_TIME)
 
-        prior = self._prior(np.arange(count), self.noise)
-        prior.std[...] = CERTAIN_STD
+        prior = self._build_prior(np.arange(count), self.noise)
+        prior.std[...] = GIVEN_STD
         taus = self.tau + self.tau_std * np.array([0.0, 1.0, -1.0])
-        base, later, sooner = run(
+        base, later, sooner = run_filter(
             self.frames, np.arange(count), prior, taus, blocks=blocks
-        ).by_block.transpose(1, 0, 2)[..., None]
-        up = np.concatenate([by_parameter[..., :DEAD_TIME], later], axis=2)
-        down = np.concatenate([by_parameter[..., DEAD_TIME:], sooner], axis=2)
-        return base, up, down
+        ).block_ln_likelihoods.transpose(1, 0, 2)[..., None]
+        raised = np.concatenate([by_parameter[..., :DEAD_TIME], later], axis=2)
+        lowered = np.concatenate([by_parameter[..., DEAD_TIME:], sooner], axis=2)
+        return base, raised, lowered
 
     def result(
         self, names: Sequence[str], all_commands: bool
@@ -397,19 +407,19 @@ class _Fit:
         Correlated heading residuals count as a misfit only if `all_commands` is set.
         """
         watched = self.fit_motion(watched=True)
-        self._widen()
+        self._widen_deviations()
         correlated = _is_correlated(watched.heading_residuals)
         motion = self._motion_intervals()
         noise = self._noise_intervals()
         speeds = np.exp(self.mean[:, 1])
-        of_noise = 2 * np.sqrt(2) * noise[:, 0, 0] / (speeds * WANDER_S)
-        wanders = speed_wander(self.frames) > np.maximum(WANDERS, of_noise)
+        wander_from_noise = 2 * np.sqrt(2) * noise[:, 0, 0] / (speeds * SPEED_BLOCK_S)
+        does_wander = speed_wander(self.frames) > np.maximum(SPEED_WANDER_MAX, wander_from_noise)
         intervals = intervals_used(self.frames)
         robots: list[FittedRobot] = []
         for i, name in enumerate(names):
-            a, speed, heading_bias = _intervals(motion[i])
-            position_noise, _, heading_noise, heading_walk = _intervals(noise[i])
-            misfits = [ALONG] if wanders[i] else []
+            a, speed, heading_bias = _to_intervals(motion[i])
+            position_noise, _, heading_noise, heading_walk = _to_intervals(noise[i])
+            misfits = [ALONG] if does_wander[i] else []
             if correlated[i] and all_commands:
                 misfits.append(HEADING)
             robots.append(
@@ -434,10 +444,10 @@ class _Fit:
         The interval has no upper end if the dead time counts as unknown. It is cut off at 0 if its
         upper end is above -RESOLVED_S.
         """
-        reach = NORMAL * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
-        least = 0.0 if self.tau + reach >= -RESOLVED_S else -np.inf
-        ends = self.tau, self.tau - reach, self.tau + reach
-        return SampleInterval(*np.maximum(ends, least).tolist())
+        half_width = NORMAL * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
+        minimum = 0.0 if self.tau + half_width >= -DEAD_TIME_RESOLUTION_S else -np.inf
+        value_and_ends = self.tau, self.tau - half_width, self.tau + half_width
+        return SampleInterval(*np.maximum(value_and_ends, minimum).tolist())
 
     def _motion_intervals(self) -> Floats:
         """Return a, speed and bias of each robot (N, 3, 3): value, lower and upper end of each.
@@ -447,10 +457,12 @@ class _Fit:
         """
         deviations = self.std.copy()
         if any(track.lag > 0 for track in self.frames):
-            deviations[:, 0] = np.hypot(deviations[:, 0], np.exp(self.mean[:, 0]) * DELAY_S)
-        half = NORMAL * deviations
-        half = np.where(half > FAR, np.inf, half)
-        motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)
+            deviations[:, 0] = np.hypot(
+                deviations[:, 0], np.exp(self.mean[:, 0]) * RADIO_DELAY_ERROR_S
+            )
+        half_widths = NORMAL * deviations
+        half_widths = np.where(half_widths > HALF_WIDTH_MAX, np.inf, half_widths)
+        motion = np.stack([self.mean, self.mean - half_widths, self.mean + half_widths], axis=-1)
         motion[:, :2] = np.exp(motion[:, :2])
         return motion
 
@@ -459,16 +471,16 @@ class _Fit:
         rows = np.arange(len(self.noise))
         value = np.abs(self.noise)
         value[:, ::2] = self.noise[:, ::2]
-        low = value - NORMAL * self.noise_std
-        low[:, 1::2] = np.maximum(low[:, 1::2], 0.0)
-        high = value + NORMAL * self.noise_std
-        ends = [self._deviations(rows, parameters) for parameters in (value, low, high)]
+        lower = value - NORMAL * self.noise_std
+        lower[:, 1::2] = np.maximum(lower[:, 1::2], 0.0)
+        upper = value + NORMAL * self.noise_std
+        ends = [self._to_deviations(rows, parameters) for parameters in (value, lower, upper)]
         return np.stack(ends, axis=-1)
 
 
-def _intervals(values: Floats) -> list[SampleInterval]:
+def _to_intervals(values: Floats) -> list[SampleInterval]:
     """Convert values (K, 3) to intervals. Each row is the value, its lower and its upper end."""
-    return [SampleInterval(value, low, high) for value, low, high in values.tolist()]
+    return [SampleInterval(value, lower, upper) for value, lower, upper in values.tolist()]
 
 
 def _is_correlated(residuals: Floats) -> list[bool]:
@@ -481,11 +493,16 @@ def _is_correlated(residuals: Floats) -> list[bool]:
     for series in residuals.T:
         is_residual = np.isfinite(series)
         std = np.std(series[is_residual])
-        clipped = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
-        products = [clipped[lag:] @ clipped[:-lag] for lag in range(1, LAGS + 1)]
+        clipped = np.nan_to_num(np.clip(series, -RESIDUAL_CLIP * std, RESIDUAL_CLIP * std))
+        products = [clipped[lag:] @ clipped[:-lag] for lag in range(1, RESIDUAL_LAGS + 1)]
         autocorrelations = np.array(products) / (clipped @ clipped + 1e-300)
         ljung_box = is_residual.sum() * np.square(autocorrelations).sum()
-        correlated.append(bool(std >= RESOLVED and chdtrc(LAGS, ljung_box) < DOUBT / robots))
+        correlated.append(
+            bool(
+                std >= HEADING_MISFIT_MIN
+                and chdtrc(RESIDUAL_LAGS, ljung_box) < WHITENESS_SIGNIFICANCE / robots
+            )
+        )
     return correlated
 
 
@@ -504,11 +521,11 @@ def block_numbers(duration_s: Floats) -> Integers:
         The index of the block in which each step ends, from 0, shape (S,).
     """
     elapsed_s = np.cumsum(duration_s)
-    count = max(BLOCKS_LEAST, round(elapsed_s[-1] / BLOCK_S))
+    count = max(BLOCKS_MIN, round(elapsed_s[-1] / BLOCK_S))
     return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)
 
 
-def wider_of_blocks(curvatures: Floats) -> Floats:
+def widening_from_blocks(curvatures: Floats) -> Floats:
     """Compute how much wider an interval from the spread of blocks is than a normal one.
 
     The input is the negative curvature h (B, ...) of the ln likelihood of each block. If a robot

@@ -19,7 +19,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.likelihood import NORMAL, SampleInterval
-from tetractl_identify.fit import wider_of_blocks
+from tetractl_identify.fit import widening_from_blocks
 from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, robust_gains
 
 SLOWEST = 0.2
@@ -110,5 +110,5 @@ def _first_gain(causes: Floats, effect: Floats, block: Integers) -> tuple[float,
         for square, product in zip(squares, products, strict=True)
     ]
     spread = (count - 1) * float(np.var(without_one))
-    wider = float(wider_of_blocks(squares[:, :1, 0])[0])
+    wider = float(widening_from_blocks(squares[:, :1, 0])[0])
     return gain / float(scale[0]), wider * math.sqrt(spread) / float(scale[0])

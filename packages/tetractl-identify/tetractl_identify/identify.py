@@ -22,15 +22,15 @@ from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table import Column, Table
 from tetractl_identify.explained import (
     Explained,
-    explained,
+    assign_windows,
+    explain_steps,
     refuse_contradicted,
-    windows_of,
 )
 from tetractl_identify.fit import FittedRobot, fit
 from tetractl_identify.passes import TrackFrames, intervals_used, speeds
 from tetractl_identify.pose_steps import PoseSteps
 from tetractl_identify.tracks import SETTLED_S, Track, require_same, rows_apart
-from tetractl_identify.turn_samples import GAP, GAP_S, Turns
+from tetractl_identify.turn_samples import GAP_MIN_S, GAP_RATIO_MAX, TurnSamples
 from tetractl_identify.unusual import unusual_values
 from tetractl_identify.wheel_lag import lag_may_turn
 
@@ -138,7 +138,7 @@ def identify(
     """
     require_same(tracks)
     names = tracks[0].names
-    frames = [TrackFrames.of(track) for track in tracks]
+    frames = [TrackFrames.from_track(track) for track in tracks]
 
     # each robot must drive, and for long enough
     seen_s = sum(float(np.ptp(track.time)) for track in tracks)
@@ -151,9 +151,9 @@ def identify(
             )
     speed = speeds(frames)
     if speed.min() < LEAST_SPEED:
-        still = names[int(np.argmin(speed))]
+        standing_robot = names[int(np.argmin(speed))]
         raise UsageError(
-            f"robot {still} does not move in these logs",
+            f"robot {standing_robot} does not move in these logs",
             "the turning rate a can be identified only if the robot drives",
         )
 
@@ -162,14 +162,14 @@ def identify(
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
 
     # what the user must know of the values
-    of_turning: list[Explained] = []
-    of_distance: list[Explained] = []
+    turning_parts: list[Explained] = []
+    distance_parts: list[Explained] = []
     problems: list[tuple[str, str]] = []
     for number, robot in enumerate(robots):
         turning = _turning_explained(tracks, number, robot, shared_dead_time.value)
         distance = _distance_explained(tracks, number, robot)
-        of_turning.append(turning)
-        of_distance.append(distance)
+        turning_parts.append(turning)
+        distance_parts.append(distance)
         problem = [f"{turning} of the turning"] if turning.is_contradicted(True) else []
         if distance.is_contradicted(True):
             problem.append(f"{distance} of the distance travelled")
@@ -192,8 +192,8 @@ def identify(
         may_lag=no_lag_stated and lag_may_turn(tracks, shared_dead_time.value),
         turns_uniformly=turn_uniformly(tracks),
         rates_unstated=any(track.rates_unstated for track in tracks),
-        turning_explained=tuple(of_turning),
-        distance_explained=tuple(of_distance),
+        turning_explained=tuple(turning_parts),
+        distance_explained=tuple(distance_parts),
     )
 
 
@@ -205,30 +205,32 @@ def _turning_explained(
     The prediction uses a dead time [s]. A direction asks for a turn as large as the change from the
     previous direction.
     """
-    measured: list[Floats] = []
-    fitted: list[Floats] = []
-    asked: list[Floats] = []
-    begin_s: list[Floats] = []
-    end_s: list[Floats] = []
+    measured_angles: list[Floats] = []
+    fitted_angles: list[Floats] = []
+    asked_angles: list[Floats] = []
+    begins_s: list[Floats] = []
+    ends_s: list[Floats] = []
     for track in tracks:
-        turns = Turns.of(track, number)
-        pull = turns.asked(track.lag, dead_time_s) * np.exp(1j * robot.heading_bias.value)
-        measured.append(turns.angle)
-        fitted.append(robot.a.value * pull.imag)
+        turns = TurnSamples.from_track(track, number)
+        asked_turns = turns.asked_turns(track.lag, dead_time_s) * np.exp(
+            1j * robot.heading_bias.value
+        )
+        measured_angles.append(turns.angle)
+        fitted_angles.append(robot.a.value * asked_turns.imag)
         u = np.unwrap(turns.u)
         sent = [
-            u[np.maximum(np.searchsorted(turns.when, times - dead_time_s), 1) - 1]
-            for times in (turns.begin, turns.end)
+            u[np.maximum(np.searchsorted(turns.sent_s, times - dead_time_s), 1) - 1]
+            for times in (turns.begin_s, turns.end_s)
         ]
-        asked.append(sent[1] - sent[0])
-        begin_s.append(turns.begin)
-        end_s.append(turns.end)
-    return explained(
-        np.concatenate(measured),
-        np.concatenate(fitted),
-        np.concatenate(asked),
+        asked_angles.append(sent[1] - sent[0])
+        begins_s.append(turns.begin_s)
+        ends_s.append(turns.end_s)
+    return explain_steps(
+        np.concatenate(measured_angles),
+        np.concatenate(fitted_angles),
+        np.concatenate(asked_angles),
         robot.heading_noise.value,
-        windows_of(np.concatenate(begin_s), np.concatenate(end_s)),
+        assign_windows(np.concatenate(begins_s), np.concatenate(ends_s)),
     )
 
 
@@ -251,11 +253,11 @@ def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot
         return Explained(None, 0.0, 0.0)
     steps = PoseSteps.together(parts)
     begins = np.concatenate(begin_s)
-    is_seen = steps.duration_s < max(GAP_S, GAP * float(np.median(steps.duration_s)))
+    is_seen = steps.duration_s < max(GAP_MIN_S, GAP_RATIO_MAX * float(np.median(steps.duration_s)))
     seen = steps.at(is_seen)
     fitted = robot.speed.value * seen.duration_s
-    windows = windows_of(begins[is_seen], begins[is_seen] + seen.duration_s)
-    return explained(seen.moved, fitted, fitted, robot.position_noise.value, windows)
+    windows = assign_windows(begins[is_seen], begins[is_seen] + seen.duration_s)
+    return explain_steps(seen.moved, fitted, fitted, robot.position_noise.value, windows)
 
 
 def turn_uniformly(tracks: list[Track]) -> bool:
@@ -306,7 +308,7 @@ def _without_ends(interval: SampleInterval) -> SampleInterval:
 def spec_section(result: IdentifiedRobots, when: str) -> Identified:
     """Create the section `identified` of a spec. Its dead time is at least 0.
 
-    `when` is the date and time of the identification, as text.
+    `sent_s` is the date and time of the identification, as text.
     """
     ends = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
     robots: dict[str, IdentifiedRobot] = {}

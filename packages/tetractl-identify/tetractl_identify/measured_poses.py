@@ -16,39 +16,39 @@ from tetractl.core.poses import Bools, Floats, Integers, wrap
 
 REPEATS_MIN = 2
 """Minimum number of repeats in a row that are no measurement."""
-RELEASE = 2.5
+RELEASE_RATIO = 2.5
 """Distance or turn between two poses above which a robot has moved while its pose repeated.
 
 It is relative to the usual distance or turn.
 """
-LEAP = 10.0
+SPEED_RATIO_MAX = 10.0
 """Speed above which a distance between two poses is a jump, relative to the usual speed."""
-TURN = 0.5
-TURN_RATE = 4.0
-TURN_MOST = 2.2
+TURN_ALLOWANCE_RAD = 0.5
+TURN_RATE_MIN = 4.0
+TURN_MAX_RAD = 2.2
 """Maximum turn that counts as a jump [rad].
 
 A turn between two poses is a jump above TURN [rad] plus TURN_RATE [rad/s] or three times the usual
 rate, times their time, at most TURN_MOST.
 """
-TURNS_S = 0.5
+ANY_TURN_S = 0.5
 """Time after which a robot may have turned by any angle [s]."""
 JUMP_S = 1.0
 """Duration of poses that a jump outweighs: stretches of twice as long are left out [s]."""
-USUAL = 0.6
-FAST = 0.9
+USUAL_QUANTILE = 0.6
+FAST_QUANTILE = 0.9
 """Quantiles of turns and distances that count as usual.
 
 Two in five turns may be to and from a flipped heading.
 """
-MEDIAN_BEND = 1.442
+MEDIAN_BEND_OF_NOISE = 1.442
 """Median distance of a position from the mean of its neighbours, relative to its noise.
 
 It is 1.177 sqrt(1.5) if all three have the same noise.
 """
-SURE_NOISE = 10.0
+NOISE_STDS_MAX = 10.0
 """Maximum distance of two positions that noise alone explains [standard deviations]."""
-LEAST_WAY = 1e-9
+DISTANCE_MIN = 1e-9
 """Distance below which nothing is a jump [length unit]."""
 
 
@@ -60,14 +60,14 @@ def measured(times: Floats, poses: Floats) -> Bools:
     """
     if not len(times):
         return np.zeros(0, dtype=np.bool_)
-    without_repeats = np.flatnonzero(~_repeats(poses))
+    without_repeats = np.flatnonzero(~_find_repeats(poses))
     chain = _longest_chain(times[without_repeats], poses[without_repeats])
     is_measured = np.zeros(len(times), dtype=np.bool_)
     is_measured[without_repeats[chain]] = True
     return is_measured
 
 
-def _repeats(poses: Floats) -> Bools:
+def _find_repeats(poses: Floats) -> Bools:
     """Find the poses (M, 3) that repeat the previous pose, or its heading or place.
 
     Repeats count until the robot is suddenly far away, or until the end.
@@ -77,25 +77,25 @@ def _repeats(poses: Floats) -> Bools:
     is_turned = turned == 0
     is_placed = moved == 0
     is_same = is_turned & is_placed
-    turns_far = turned > RELEASE * _fast(turned)
-    moves_far = moved > RELEASE * _fast(moved)
-    poses_frozen = _frozen(is_same, np.append(turns_far | moves_far, True))
+    turns_far = turned > RELEASE_RATIO * _fast_step(turned)
+    moves_far = moved > RELEASE_RATIO * _fast_step(moved)
+    poses_frozen = _find_frozen(is_same, np.append(turns_far | moves_far, True))
     # a robot that drives straight on until the end keeps its heading, one that turns its place
-    headings_frozen = _frozen(is_turned & ~is_same, np.append(turns_far, False))
-    places_frozen = _frozen(is_placed & ~is_same, np.append(moves_far, False))
+    headings_frozen = _find_frozen(is_turned & ~is_same, np.append(turns_far, False))
+    places_frozen = _find_frozen(is_placed & ~is_same, np.append(moves_far, False))
     return poses_frozen | headings_frozen | places_frozen
 
 
-def _fast(steps: Floats) -> float:
+def _fast_step(steps: Floats) -> float:
     """Compute the quantile FAST of the distances or turns (M - 1,) that are above 0.
 
     The result is 0 if there are none.
     """
     changes = steps[steps > 0]
-    return float(np.quantile(changes, FAST)) if changes.size else 0.0
+    return float(np.quantile(changes, FAST_QUANTILE)) if changes.size else 0.0
 
 
-def _frozen(is_same: Bools, is_release: Bools) -> Bools:
+def _find_frozen(is_same: Bools, is_release: Bools) -> Bools:
     """Find the poses (M,) after at least REPEATS_MIN equal steps (M - 1,) in a row.
 
     A release (M,) must follow these steps. The end of the track is the last release.
@@ -103,18 +103,20 @@ def _frozen(is_same: Bools, is_release: Bools) -> Bools:
     frozen = np.zeros(len(is_same) + 1, dtype=np.bool_)
     if not is_same.any() or is_same.all():
         return frozen
-    edges = np.diff(is_same.astype(np.int64), prepend=0, append=0)
-    begins = np.flatnonzero(edges == 1)
-    ends = np.flatnonzero(edges == -1)
-    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        if end - begin >= REPEATS_MIN and is_release[end]:
-            is_jump = begin > 0 and is_release[begin - 1]  # to 0, as of a robot that is lost
-            frozen[begin if is_jump else begin + 1 : end + 1] = True
+    changes = np.diff(is_same.astype(np.int64), prepend=0, append=0)
+    run_begins = np.flatnonzero(changes == 1)
+    run_ends = np.flatnonzero(changes == -1)
+    for first_row, end_row in zip(run_begins.tolist(), run_ends.tolist(), strict=True):
+        if end_row - first_row >= REPEATS_MIN and is_release[end_row]:
+            is_jump = (
+                first_row > 0 and is_release[first_row - 1]
+            )  # to 0, as of a robot that is lost
+            frozen[first_row if is_jump else first_row + 1 : end_row + 1] = True
     return frozen
 
 
 @dataclass(frozen=True, slots=True)
-class _Jumps:
+class _JumpLimits:
     """Limits of how far a robot can move from one pose to another.
 
     Attributes:
@@ -134,33 +136,35 @@ class _Jumps:
     noise: float
 
     @classmethod
-    def of(cls, times: Floats, poses: Floats) -> "_Jumps":
+    def from_poses(cls, times: Floats, poses: Floats) -> "_JumpLimits":
         """Find the usual speed, turning rate and noise of a robot with three or more poses."""
         usual_s = float(np.median(np.diff(times)))
-        apart_s = np.maximum(np.diff(times), usual_s)
-        ways = np.hypot(*np.diff(poses[:, :2], axis=0).T) / apart_s
-        rates = np.abs(wrap(np.diff(poses[:, 2]))) / apart_s
+        gaps_s = np.maximum(np.diff(times), usual_s)
+        speeds = np.hypot(*np.diff(poses[:, :2], axis=0).T) / gaps_s
+        rates = np.abs(wrap(np.diff(poses[:, 2]))) / gaps_s
         # a single pose at a wrong place makes two long ways, and no three
-        driven = minimum_filter1d(ways[ways > 0], 3)
-        speed = np.quantile(driven, FAST) if len(driven) else 0.0
-        rate = max(TURN_RATE, 3 * np.quantile(rates, USUAL))
+        driven = minimum_filter1d(speeds[speeds > 0], 3)
+        speed = np.quantile(driven, FAST_QUANTILE) if len(driven) else 0.0
+        rate = max(TURN_RATE_MIN, 3 * np.quantile(rates, USUAL_QUANTILE))
         bends = np.diff(poses[:, :2], 2, axis=0) / 2
-        noise = float(np.median(np.hypot(bends[:, 0], bends[:, 1]))) / MEDIAN_BEND
+        noise = float(np.median(np.hypot(bends[:, 0], bends[:, 1]))) / MEDIAN_BEND_OF_NOISE
         return cls(times, poses, float(speed), float(rate), usual_s, noise)
 
-    def between(self, first: Integers, second: Integers) -> Bools:
+    def are_jumps(self, from_rows: Integers, to_rows: Integers) -> Bools:
         """Check whether the robot moves or turns too far between the poses of each of K pairs (K,).
 
-        `first` and `second` are indices of poses.
+        `from_rows` and `to_rows` are indices of poses.
         """
-        apart_s = np.maximum(self.times[second] - self.times[first], self.usual_s)
-        moved = self.poses[second] - self.poses[first]
-        way = np.hypot(moved[:, 0], moved[:, 1])
-        turn = np.abs(wrap(moved[:, 2]))
-        most_turn = np.minimum(TURN + self.rate * apart_s, TURN_MOST)
-        turns_away = (turn > most_turn) & (apart_s <= TURNS_S)
-        farthest = LEAP * self.speed * apart_s + SURE_NOISE * self.noise + LEAST_WAY
-        return turns_away | (way > farthest)
+        gaps_s = np.maximum(self.times[to_rows] - self.times[from_rows], self.usual_s)
+        moved = self.poses[to_rows] - self.poses[from_rows]
+        distance = np.hypot(moved[:, 0], moved[:, 1])
+        turn_rad = np.abs(wrap(moved[:, 2]))
+        turn_max = np.minimum(TURN_ALLOWANCE_RAD + self.rate * gaps_s, TURN_MAX_RAD)
+        turns_away = (turn_rad > turn_max) & (gaps_s <= ANY_TURN_S)
+        distance_max = (
+            SPEED_RATIO_MAX * self.speed * gaps_s + NOISE_STDS_MAX * self.noise + DISTANCE_MIN
+        )
+        return turns_away | (distance > distance_max)
 
 
 def _longest_chain(times: Floats, poses: Floats) -> Integers:
@@ -173,26 +177,28 @@ def _longest_chain(times: Floats, poses: Floats) -> Integers:
     count = len(times)
     if count < 3:
         return np.arange(count)
-    jumps = _Jumps.of(times, poses)
-    after_next = jumps.between(np.arange(count - 1), np.arange(1, count))
-    cuts = np.flatnonzero(after_next) + 1
-    begins = np.concatenate([[0], cuts])
-    ends = np.concatenate([cuts, [count]])
+    jumps = _JumpLimits.from_poses(times, poses)
+    after_next = jumps.are_jumps(np.arange(count - 1), np.arange(1, count))
+    jump_rows = np.flatnonzero(after_next) + 1
+    stretch_begins = np.concatenate([[0], jump_rows])
+    stretch_ends = np.concatenate([jump_rows, [count]])
     step_s = float(np.median(np.diff(times)))
     cost = max(1.0, JUMP_S / step_s)
-    length = (ends - begins).astype(np.float64)
-    before = np.full(len(begins), -1)
-    for stretch in range(1, len(begins)):
-        earliest = np.searchsorted(ends, begins[stretch] - 2 * cost)
+    length = (stretch_ends - stretch_begins).astype(np.float64)
+    previous_stretch = np.full(len(stretch_begins), -1)
+    for stretch in range(1, len(stretch_begins)):
+        earliest = np.searchsorted(stretch_ends, stretch_begins[stretch] - 2 * cost)
         earlier = np.arange(earliest, stretch)
-        is_jump = jumps.between(ends[earlier] - 1, np.full(len(earlier), begins[stretch]))
+        is_jump = jumps.are_jumps(
+            stretch_ends[earlier] - 1, np.full(len(earlier), stretch_begins[stretch])
+        )
         chains = length[earlier] - cost * is_jump
         if chains.max() > 0:
-            before[stretch] = earlier[chains.argmax()]
+            previous_stretch[stretch] = earlier[chains.argmax()]
             length[stretch] += chains.max()
     chain: list[Integers] = []
     stretch = int(length.argmax())
     while stretch >= 0:
-        chain.append(np.arange(begins[stretch], ends[stretch]))
-        stretch = int(before[stretch])
+        chain.append(np.arange(stretch_begins[stretch], stretch_ends[stretch]))
+        stretch = int(previous_stretch[stretch])
     return np.concatenate(chain[::-1])

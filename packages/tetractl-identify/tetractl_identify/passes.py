@@ -31,36 +31,36 @@ from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl_identify.tracks import Track, rows_apart
 
-SHORTEST_S = 0.035
+FRAME_GAP_MIN_S = 0.035
 """Minimum time between two frames [s]. A frame that follows sooner is left out."""
-DRIVING = 0.5
+DRIVING_FRACTION = 0.5
 """A robot drives if it travels at least this fraction of its usual distance."""
 DIRECTIONS_MAX = 10_000
 """Maximum number of directions between two frames."""
-UNSEEN_S = 0.3
+RESTART_GAP_S = 0.3
 """Time without a pose after which a row restarts from the camera's next pose [s]."""
-AT_REST_S = 0.3
+REST_BEFORE_DRIVING_S = 0.3
 """Time before it drives at which a robot with lagging wheels certainly stands still [s]."""
-WANDER_S = 1.0
+SPEED_BLOCK_S = 1.0
 """Duration of the blocks whose speeds are compared [s]."""
-INNER = (0.3, 0.7)
+QUANTILES = (0.3, 0.7)
 """Quantiles between which the speeds of blocks are compared.
 
 A speed that changes in the middle of a trial is beyond both. A speed that a radio stops in less
 than a third of its seconds is beyond none.
 """
-INNER_STDS = 1.049
+QUANTILE_STDS = 1.049
 """Distance between the quantiles INNER of a normal distribution [standard deviations]."""
-STANDS = 0.5
+STANDING_FRACTION = 0.5
 """Fraction of its usual speed below which a robot nearly stands still."""
-STANDS_S = 0.2
+SPEED_WINDOW_S = 0.2
 """Time over which the speed of a robot is judged to decide whether it nearly stands still [s].
 
 The noise of the camera makes no such speed over this time.
 """
-FULL = 0.6
+BLOCK_FRACTION_MIN = 0.6
 """Minimum fraction of a block for which a robot must be measured."""
-MEDIAN_OFF = 0.826
+MEDIAN_DISTANCE = 0.826
 """Median distance of a place from the middle of its neighbours, relative to the noise of each.
 
 It is .6745 sqrt(1.5).
@@ -74,25 +74,25 @@ NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
 class TrackFrames:
     """M frames of a track, and the C directions u [rad] that act in them.
 
-    The directions were sent at the times `when` (C,) [s]. `time` (M, N) are the times of the poses
-    [s]. `used` (M, N) says which of the poses (M, N, 3) update the filter. At the poses with
-    `placed` (M, N), the filter starts again from the measured pose. Robots that receive nothing for
-    `watchdog` [s] stop. Their wheels follow with the time constant `lag` [s], and keep a rate for
-    `hold`, which has the form of `model.motion.turn_rate.held` [s, s2, s3].
+    The directions were sent at the times `sent_s` (C,) [s]. `time` (M, N) are the times of the
+    poses [s]. `used` (M, N) says which of the poses (M, N, 3) update the filter. At the poses with
+    `restarts` (M, N), the filter starts again from the measured pose. Robots that receive nothing
+    for `watchdog` [s] stop. Their wheels follow with the time constant `lag` [s], and keep a rate
+    for `hold_moments`, which has the form of `model.motion.turn_rate.held` [s, s2, s3].
     """
 
     time: Floats
     poses: Floats
     used: Bools
-    placed: Bools
-    when: Floats
+    restarts: Bools
+    sent_s: Floats
     u: Floats
     watchdog: float
     lag: float
-    hold: tuple[float, float, float]
+    hold_moments: tuple[float, float, float]
 
     @classmethod
-    def of(cls, track: Track) -> "TrackFrames":
+    def from_track(cls, track: Track) -> "TrackFrames":
         """Select the frames at least SHORTEST_S apart, from the first direction to the stop.
 
         A robot's poses are used from the time at which it drives. With lagging wheels, they are
@@ -105,17 +105,17 @@ class TrackFrames:
         if not len(track.sent):
             raise UsageError(f"{track.source}: the log has no direction that was sent")
         rows = np.flatnonzero(track.time <= track.until)
-        before_s = float(track.sent[0]) - SHORTEST_S
-        rows = rows[rows_apart(track.time[rows], SHORTEST_S, before_s)]
+        before_s = float(track.sent[0]) - FRAME_GAP_MIN_S
+        rows = rows[rows_apart(track.time[rows], FRAME_GAP_MIN_S, before_s)]
         time = track.time[rows]
         poses = np.nan_to_num(track.poses[rows])
         valid = track.valid[rows]
-        driving = _driving(time, poses, valid, track.lag > 0)
+        driving = _find_driving_frames(time, poses, valid, track.lag > 0)
         used = valid & np.logical_or.accumulate(driving, axis=0)
         # when each robot's pose was last used before each frame (M, N), -inf if never
         latest = np.maximum.accumulate(np.where(used, time[:, None], -np.inf), axis=0)
         last_used = np.vstack([np.full((1, used.shape[1]), -np.inf), latest])[: len(time)]
-        placed = used & (time[:, None] - last_used > UNSEEN_S)
+        restarts = used & (time[:, None] - last_used > RESTART_GAP_S)
         most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
         if most > DIRECTIONS_MAX:
             raise UsageError(
@@ -126,17 +126,17 @@ class TrackFrames:
         return cls(
             time=track.exposed[rows],
             poses=poses,
-            used=used & ~placed,
-            placed=placed,
-            when=track.sent,
+            used=used & ~restarts,
+            restarts=restarts,
+            sent_s=track.sent,
             u=track.u,
             watchdog=track.watchdog,
             lag=track.lag,
-            hold=_hold(track),
+            hold_moments=_hold_moments(track),
         )
 
 
-def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
+def _find_driving_frames(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
     """Find the frames in which each robot drives, shape (M, N).
 
     For a robot with lagging wheels, driving starts AT_REST_S earlier.
@@ -145,26 +145,26 @@ def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
     pace = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(time)[:, None]
     pace[~(valid[:-1] & valid[1:])] = np.nan
     driving = np.zeros_like(valid)
-    driving[1:] = pace >= DRIVING * _usual(pace)
+    driving[1:] = pace >= DRIVING_FRACTION * _median_of_columns(pace)
     if lagging:
-        first = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
-        driving |= time[:, None] >= first - AT_REST_S
+        driving_from_s = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
+        driving |= time[:, None] >= driving_from_s - REST_BEFORE_DRIVING_S
     return driving
 
 
-def _hold(track: Track) -> tuple[float, float, float]:
+def _hold_moments(track: Track) -> tuple[float, float, float]:
     """Compute for how long lagging wheels keep a rate: mean first three powers [s, s2, s3].
 
     The means are taken over time. The host sends the wheels a new rate with each command.
     """
-    before_end = track.sent <= track.until
-    apart_s = np.diff(track.sent[before_end])
-    if track.lag == 0 or not apart_s.any():
+    is_before_end = track.sent <= track.until
+    gaps_s = np.diff(track.sent[is_before_end])
+    if track.lag == 0 or not gaps_s.any():
         return 0.0, 0.0, 0.0
     return (
-        float(np.average(apart_s, weights=apart_s)),
-        float(np.average(apart_s**2, weights=apart_s)),
-        float(np.average(apart_s**3, weights=apart_s)),
+        float(np.average(gaps_s, weights=gaps_s)),
+        float(np.average(gaps_s**2, weights=gaps_s)),
+        float(np.average(gaps_s**3, weights=gaps_s)),
     )
 
 
@@ -180,12 +180,12 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
     """
     paces = []
     for track in tracks:
-        way = np.diff(track.poses[..., :2], axis=0)
-        apart = np.diff(track.time, axis=0)
-        measured = track.used[1:] & (track.used | track.placed)[:-1] & (apart > 0)
-        pace = np.hypot(way[..., 0], way[..., 1]) / np.where(apart > 0, apart, 1.0)
+        moved = np.diff(track.poses[..., :2], axis=0)
+        gaps_s = np.diff(track.time, axis=0)
+        measured = track.used[1:] & (track.used | track.restarts)[:-1] & (gaps_s > 0)
+        pace = np.hypot(moved[..., 0], moved[..., 1]) / np.where(gaps_s > 0, gaps_s, 1.0)
         paces.append(np.where(measured, pace, np.nan))
-    return _usual(np.concatenate(paces))
+    return _median_of_columns(np.concatenate(paces))
 
 
 def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
@@ -196,16 +196,18 @@ def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
     """
     noises: list[float] = []
     for robot in range(tracks[0].used.shape[1]):
-        off: list[Floats] = [np.zeros(1)]
+        distances: list[Floats] = [np.zeros(1)]
         for track in tracks:
             used = track.used[:, robot]
             times = track.time[used, robot]
             for places in track.poses[used, robot, :2].T:
-                share = (times[1:-1] - times[:-2]) / np.maximum(times[2:] - times[:-2], SHORTEST_S)
-                between = places[:-2] + share * (places[2:] - places[:-2])
-                off.append(np.abs(places[1:-1] - between))
-        median_off = float(np.median(np.concatenate(off)))
-        noises.append(median_off / MEDIAN_OFF)
+                fraction = (times[1:-1] - times[:-2]) / np.maximum(
+                    times[2:] - times[:-2], FRAME_GAP_MIN_S
+                )
+                interpolated = places[:-2] + fraction * (places[2:] - places[:-2])
+                distances.append(np.abs(places[1:-1] - interpolated))
+        median_distance = float(np.median(np.concatenate(distances)))
+        noises.append(median_distance / MEDIAN_DISTANCE)
     return np.array(noises)
 
 
@@ -222,8 +224,8 @@ def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
             paces += _paces_of_blocks(track, robot)
         wander = 0.0
         if len(paces) > 1:
-            low, median, high = np.quantile(paces, (INNER[0], 0.5, INNER[1]))
-            wander = (high - low) / (INNER_STDS * abs(median))
+            lower, median, upper = np.quantile(paces, (QUANTILES[0], 0.5, QUANTILES[1]))
+            wander = (upper - lower) / (QUANTILE_STDS * abs(median))
         wanders.append(wander)
     return np.array(wanders)
 
@@ -239,22 +241,22 @@ def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
         return []
     x, y, heading = track.poses[:, robot].T
     turned = np.asarray(wrap(np.diff(heading)))
-    way = (np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))).real
-    apart_s = np.diff(track.time[:, robot])
-    step_s = float(np.median(apart_s[is_measured]))
-    near = np.ones(max(1, round(STANDS_S / step_s)))
-    way_near = np.convolve(np.where(is_measured, way, 0.0), near, "same")
-    time_near_s = np.convolve(np.where(is_measured, apart_s, 0.0), near, "same")
-    pace = way_near / np.where(time_near_s > 0, time_near_s, np.inf)
-    drives = is_measured & (pace > STANDS * np.median(pace[is_measured]))
-    block = ((track.time[1:, robot] - track.time[0, robot]) / WANDER_S).astype(np.int64)
-    ways = np.bincount(block[drives], way[drives])
-    durations_s = np.bincount(block[drives], apart_s[drives])
-    is_full = durations_s > FULL * WANDER_S
-    return (ways[is_full] / durations_s[is_full]).tolist()
+    distance = (np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))).real
+    gaps_s = np.diff(track.time[:, robot])
+    step_s = float(np.median(gaps_s[is_measured]))
+    window = np.ones(max(1, round(SPEED_WINDOW_S / step_s)))
+    window_distance = np.convolve(np.where(is_measured, distance, 0.0), window, "same")
+    window_s = np.convolve(np.where(is_measured, gaps_s, 0.0), window, "same")
+    pace = window_distance / np.where(window_s > 0, window_s, np.inf)
+    drives = is_measured & (pace > STANDING_FRACTION * np.median(pace[is_measured]))
+    block = ((track.time[1:, robot] - track.time[0, robot]) / SPEED_BLOCK_S).astype(np.int64)
+    distances = np.bincount(block[drives], distance[drives])
+    durations_s = np.bincount(block[drives], gaps_s[drives])
+    is_full = durations_s > BLOCK_FRACTION_MIN * SPEED_BLOCK_S
+    return (distances[is_full] / durations_s[is_full]).tolist()
 
 
-def _usual(pace: Floats) -> Floats:
+def _median_of_columns(pace: Floats) -> Floats:
     """Compute the median of each column without NaN.
 
     It is infinite for a column without numbers.
@@ -285,11 +287,12 @@ class PassPrior:
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class PassResult:
     """The results of a pass of the filter.
 
     Attributes:
-        by_block: ln of the likelihood of each block of time, up to a constant, shape (K, B, R).
+        block_ln_likelihoods: ln of the likelihood of each block of time, up to a constant, shape
+            (K, B, R).
         mean: Means as in `PassPrior`, shape (B, R, 3).
         std: Their standard deviations, shape (B, R, 3).
         heading_residuals: Residuals of headings for the dead time in the middle of the bank [rad],
@@ -297,7 +300,7 @@ class Passed:
         lost: Expected number of directions that did not reach each robot, shape (R,), if watched.
     """
 
-    by_block: Floats
+    block_ln_likelihoods: Floats
     mean: Floats
     std: Floats
     heading_residuals: Floats
@@ -307,20 +310,20 @@ class Passed:
     def likelihood(self) -> Floats:
         """ln of the likelihood of all frames, up to a constant, shape (B, R).
 
-        It is the sum of `by_block` over the blocks of time.
+        It is the sum of `block_ln_likelihoods` over the blocks of time.
         """
-        return self.by_block.sum(axis=0)
+        return self.block_ln_likelihoods.sum(axis=0)
 
 
-def run(
+def run_filter(
     tracks: Sequence[TrackFrames],
     rows: NDArray[np.int64],
     prior: PassPrior,
-    tau: Floats,
-    apart_s: float = 0.0,
+    dead_times_s: Floats,
+    spacing_s: float = 0.0,
     watched: bool = False,
     blocks: Sequence[Integers] = (),
-) -> Passed:
+) -> PassResult:
     """Run the filter over tracks, once for each dead time.
 
     Args:
@@ -328,40 +331,40 @@ def run(
         rows: The indices of the robots (R,).
         prior: The assumptions about each row: turning rate, speed and heading bias, noise, and
             random walks.
-        tau: The dead times (B,) [s].
-        apart_s: Uncertainty of each dead time [s].
+        dead_times_s: The dead times (B,) [s].
+        spacing_s: Uncertainty of each dead time [s].
         watched: Whether to collect the residuals of headings and the expected numbers of lost
             directions.
         blocks: For each track, the index of the block of each frame (F,). By default, all frames
             are in block 0.
     """
-    first_model, bank = _start(prior, tau)
+    first_model, bank = _start_filter(prior, dead_times_s)
     blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
     block_count = 1 + max(block[-1] for block in blocks)
-    by_block = np.zeros((block_count, len(tau), len(rows)))
-    lost = np.zeros(len(rows))
+    block_ln_likelihoods = np.zeros((block_count, len(dead_times_s), len(rows)))
+    lost_directions = np.zeros(len(rows))
     residuals: list[Floats] = []
     for track, block in zip(tracks, blocks, strict=True):
         _begin_track(bank, track)
         model = first_model._replace(
-            watchdog_s=track.watchdog, host_lag_s=track.lag, hold=track.hold
+            watchdog_s=track.watchdog, host_lag_s=track.lag, hold=track.hold_moments
         )
-        watch = _Watch(track.u, len(rows)) if watched else None
-        _run_track(bank, model, track, rows, apart_s, watch, by_block, block)
+        watch = _ResidualWatch(track.u, len(rows)) if watched else None
+        _run_track(bank, model, track, rows, spacing_s, watch, block_ln_likelihoods, block)
         if watch is not None:
             residuals += watch.residuals
-            lost += watch.lost
+            lost_directions += watch.lost
         # each branch of a row goes on from the likeliest one
         best = bank.ln_weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
         bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
     variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
-    return Passed(
-        by_block=by_block,
+    return PassResult(
+        block_ln_likelihoods=block_ln_likelihoods,
         mean=bank.state[:, :, 0, IDENTIFIED],
         std=np.sqrt(np.maximum(variance, 0.0)),
         heading_residuals=np.array(residuals),
-        lost=lost,
+        lost=lost_directions,
     )
 
 
@@ -380,7 +383,7 @@ def _begin_track(bank: Bank, track: TrackFrames) -> None:
     else:  # the first direction also acts before its time
         bank.direction[...] = track.u[0]
         bank.next_command[:] = 1
-    bank.until_s[...] = bank.dead_time_s[..., None] + track.when[0] + track.watchdog
+    bank.until_s[...] = bank.dead_time_s[..., None] + track.sent_s[0] + track.watchdog
 
 
 def _run_track(
@@ -388,9 +391,9 @@ def _run_track(
     model: FilterModel,
     track: TrackFrames,
     rows: NDArray[np.int64],
-    apart_s: float,
-    watch: "_Watch | None",
-    by_block: Floats,
+    spacing_s: float,
+    watch: "_ResidualWatch | None",
+    block_ln_likelihoods: Floats,
     block: Integers,
 ) -> None:
     """Run the filter over the frames of a track, and add their ln likelihoods to the blocks.
@@ -400,38 +403,40 @@ def _run_track(
         model: The assumptions about the robots.
         track: The frames (F,).
         rows: The indices of the robots (R,).
-        apart_s: Uncertainty of each dead time [s].
+        spacing_s: Uncertainty of each dead time [s].
         watch: Collects residuals. None to collect nothing.
-        by_block: The ln likelihood of each block (K, B, R), to which this function adds.
+        block_ln_likelihoods: The ln likelihood of each block (K, B, R), to which this function
+            adds.
         block: The index of each frame's block (F,).
     """
     from tetractl.control.estimation.kernels import filter as kernel
 
-    commands = SentCommands(track.when, track.u)
+    commands = SentCommands(track.sent_s, track.u)
     times = track.time[:, rows]
     poses = np.ascontiguousarray(track.poses[:, rows])
     used = np.ascontiguousarray(track.used[:, rows])
-    placed = np.ascontiguousarray(track.placed[:, rows])
+    restarts = np.ascontiguousarray(track.restarts[:, rows])
     # the filter is called with two frames: one without poses, by which no interval is too long
     # for its commands, and the camera's
-    both_poses = np.full((2, *poses.shape[1:]), np.nan)
-    both_valid = np.zeros((2, len(rows)), np.bool_)
-    last = np.full(len(rows), -np.inf)
-    for frame, now in enumerate(times):
-        both_times = np.stack([np.maximum(last, now - 2 * UNSEEN_S), now])
-        both_poses[1] = poses[frame]
-        both_valid[1] = used[frame]
-        frames = PoseFrames(both_times, both_poses, both_valid)
-        by_block[block[frame]] += kernel.follow(bank, model, commands, frames, False, apart_s)
+    frame_poses = np.full((2, *poses.shape[1:]), np.nan)
+    frame_valid = np.zeros((2, len(rows)), np.bool_)
+    previous = np.full(len(rows), -np.inf)
+    for frame, times_now in enumerate(times):
+        frame_times = np.stack([np.maximum(previous, times_now - 2 * RESTART_GAP_S), times_now])
+        frame_poses[1] = poses[frame]
+        frame_valid[1] = used[frame]
+        frames = PoseFrames(frame_times, frame_poses, frame_valid)
+        likelihoods = kernel.follow(bank, model, commands, frames, False, spacing_s)
+        block_ln_likelihoods[block[frame]] += likelihoods
         bank.noise_scale[...] = 1.0
-        if placed[frame].any():
-            kernel.place(bank, model, NO_COMMANDS, now, poses[frame], placed[frame])
+        if restarts[frame].any():
+            kernel.place(bank, model, NO_COMMANDS, times_now, poses[frame], restarts[frame])
         if watch is not None:
             watch.add(bank, poses[frame], used[frame])
-        last = now
+        previous = times_now
 
 
-class _Watch:
+class _ResidualWatch:
     """Collects residuals along a track, for the dead time in the middle of a bank.
 
     `residuals` has an entry (R,) for each frame: the residuals of headings [rad]. `lost` (R,) is
@@ -469,19 +474,19 @@ class _Watch:
         return self._missed[:-1].sum(axis=0)
 
 
-def _start(prior: PassPrior, tau: Floats) -> tuple[FilterModel, Bank]:
+def _start_filter(prior: PassPrior, dead_times_s: Floats) -> tuple[FilterModel, Bank]:
     """Create the filter's model, and its bank at the start."""
     count = len(prior.mean)
     # positions along and across have the same noise and walk
     noise = np.repeat(prior.noise, (2, 1), axis=1).T
     walk = np.zeros((STATES_OF_WHEELS, count))
     walk[:3] = np.repeat(prior.walk, (2, 1), axis=1).T
-    mean = np.zeros((len(tau), count, STATES))
+    mean = np.zeros((len(dead_times_s), count, STATES))
     mean[..., IDENTIFIED] = prior.mean
     std = np.zeros((count, STATES_OF_WHEELS))
     std[:, IDENTIFIED] = prior.std
-    groups = np.zeros(len(tau), dtype=np.int64)
-    bank = Bank.start(tau, mean, std, groups, LOG_FOLLOWS)
+    groups = np.zeros(len(dead_times_s), dtype=np.int64)
+    bank = Bank.start(dead_times_s, mean, std, groups, LOG_FOLLOWS)
     ones = np.ones((count, len(PARAMETERS)))
     noise = np.ascontiguousarray(noise)
     return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf, branch_all=True), bank

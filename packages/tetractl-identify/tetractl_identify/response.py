@@ -11,14 +11,14 @@ the pose between them, with opposite signs, so the covariance of the steps is tr
 and poses may have different clocks. Their times then drift apart at the rate `clock_drift`, and the
 dead time is the one in the middle of the recording.
 
-**Fit.** `used_steps` chooses the steps of a robot, and the delay at which the search starts. From a
-grid around this delay, `_search` finds the parameters with the most likely regression of the steps
-(`step_regression`). Intervals are normal in the dead time, the gains and the logarithms of the
-other parameters. They are as wide as the differences between blocks of BLOCK_S require, because the
-gains of real robots wander over seconds, and white noise and random walks do not describe this.
+**Fit.** `choose_steps` chooses the steps of a robot, and the delay at which the search starts. From
+a grid around this delay, `_search` finds the parameters with the most likely regression of the
+steps (`step_regression`). Intervals are normal in the dead time, the gains and the logarithms of
+the other parameters. They are as wide as the differences between blocks of BLOCK_S require, because
+the gains of real robots wander over seconds, and white noise and random walks do not describe this.
 
 **Check.** If the commands explain less than half of a robot's motion, there are no values
-(`explained`). Unusual values are printed, and named below the table (`unusual`).
+(`explain_steps`). Unusual values are printed, and named below the table (`unusual`).
 
 Shapes: a robot has M steps that the fit uses. Pairs of integrals of a motion stand in columns:
 first of p, then of q.
@@ -37,12 +37,12 @@ from tetractl.tools.likelihood import NORMAL, UNLIKELY, SampleInterval, derivati
 from tetractl_identify.driven_steps import (
     DEAD_TIME_UNIT_S,
     UsedSteps,
+    choose_steps,
     driven_track,
     integrals_of,
-    used_steps,
 )
-from tetractl_identify.explained import explained, refuse_contradicted, windows_of
-from tetractl_identify.fit import wider_of_blocks
+from tetractl_identify.explained import assign_windows, explain_steps, refuse_contradicted
+from tetractl_identify.fit import widening_from_blocks
 from tetractl_identify.heading_offset import heading_offset
 from tetractl_identify.pose_steps import STD_OF_MEDIAN, robust_gains
 from tetractl_identify.robot_response import SHORTEST_LAG_S, RobotResponse
@@ -111,7 +111,7 @@ def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotRespon
     responses: list[RobotResponse] = []
     for robot, name in enumerate(tracks[0].names):
         driven = [driven_track(track, robot) for track in tracks]
-        responses.append(_response(name, used_steps(name, driven, dead_time)))
+        responses.append(_response(name, choose_steps(name, driven, dead_time)))
     sources = dict.fromkeys(source for track in tracks for source in track.sources)
     problems = [(response.name, response.problem) for response in responses if response.problem]
     refuse_contradicted(tuple(sources), problems)
@@ -132,7 +132,7 @@ def _search(steps: UsedSteps, units: ResponseParameters) -> tuple[Floats, Floats
         """
         scores = np.zeros(len(vectors))
         for i, vector in enumerate(vectors):
-            parameters = units.at(vector)
+            parameters = units.scaled_by(vector)
             turns = whitened_turns(steps, parameters).restricted_likelihood()
             ways = whitened_ways(steps, parameters).restricted_likelihood()
             scores[i] = turns + ways - np.square(vector).sum() / (2 * PRIOR_STD**2)
@@ -153,7 +153,7 @@ def _response(name: str, steps: UsedSteps) -> RobotResponse:
     """Fit one robot and return its values with their intervals."""
     driven = integrals_of(steps.tracks, steps.dead_time, LAG_UNIT_S)[steps.rows]
     heading_noise = _noise(steps, steps.turned, driven)
-    position_noise = _noise(steps, steps.way, driven)
+    position_noise = _noise(steps, steps.distance_along, driven)
     units = ResponseParameters(  # of a vector of zeros
         dead_time=steps.dead_time,
         turning_lag=LAG_UNIT_S,
@@ -165,7 +165,7 @@ def _response(name: str, steps: UsedSteps) -> RobotResponse:
         clock_drift=steps.drift_unit,
     )
     vector, curvature_std = _search(steps, units)
-    likeliest = units.at(vector)
+    likeliest = units.scaled_by(vector)
     turn_gains = whitened_turns(steps, likeliest).gains()
     way_gains = whitened_ways(steps, likeliest).gains()
     likeliest_all = np.concatenate([vector, turn_gains, way_gains])
@@ -181,11 +181,11 @@ def _response(name: str, steps: UsedSteps) -> RobotResponse:
     driven = likeliest.integrals(steps)
     without_lags = replace(likeliest, turning_lag=SHORTEST_LAG_S, speed_lag=SHORTEST_LAG_S)
     sent = without_lags.integrals(steps)
-    windows = windows_of(steps.begin_s, steps.begin_s + steps.duration_s)
-    turning_explained = explained(
+    windows = assign_windows(steps.begin_s, steps.begin_s + steps.duration_s)
+    turning_explained = explain_steps(
         steps.turned, driven @ turn_gains, sent[:, 1], likeliest.heading_noise, windows
     )
-    distance_explained = explained(
+    distance_explained = explain_steps(
         steps.moved, driven @ way_gains, sent[:, 0], likeliest.position_noise, windows
     )
     clock_drift = None
@@ -235,7 +235,7 @@ def _deviations(
     slope and curvature of the ln likelihood of block b, and H the curvature of all blocks. Without
     block b, the most likely vector changes by about -(H - H_b)^-1 s_b.
     """
-    at_best = units.at(likeliest[:SEARCHED])
+    at_best = units.scaled_by(likeliest[:SEARCHED])
     unit = np.ones(len(likeliest))
     unit[:SEARCHED] = np.clip(UNIT_STDS * curvature_std, UNIT_LEAST, 1.0)
     regressions = (whitened_turns(steps, at_best), whitened_ways(steps, at_best))
@@ -246,7 +246,7 @@ def _deviations(
         """Compute the ln likelihood of each block (B, V) after changes (1, V, 12) in units."""
         of_changes = []
         for values in likeliest + unit * changes[0]:
-            parameters = units.at(values[:SEARCHED])
+            parameters = units.scaled_by(values[:SEARCHED])
             turns = whitened_turns(steps, parameters).likelihoods(values[SEARCHED : SEARCHED + 2])
             ways = whitened_ways(steps, parameters).likelihoods(values[SEARCHED + 2 :])
             of_changes.append(np.bincount(steps.block, turns + ways))
@@ -259,7 +259,7 @@ def _deviations(
     curvature[range(SEARCHED, size), range(SEARCHED, size)] += of_prior * unit[SEARCHED:] ** 2
     inverse = _inverse(curvature)
     pulls = slopes @ inverse
-    wider = wider_of_blocks(np.diagonal(curvatures, axis1=1, axis2=2))
+    wider = widening_from_blocks(np.diagonal(curvatures, axis1=1, axis2=2))
     spread = len(pulls) * np.var(pulls, axis=0, ddof=1)
     variance = np.diag(inverse)
     return unit * np.sqrt(np.maximum(variance, wider**2 * spread))

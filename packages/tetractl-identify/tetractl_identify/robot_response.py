@@ -15,7 +15,7 @@ from tetractl_identify.explained import Explained
 from tetractl_identify.identify import cell, labels_of
 from tetractl_identify.unusual import (
     GAINS,
-    USUAL,
+    USUAL_RANGES,
     may_be_usual,
     undetermined_values,
     unusual_values,
@@ -130,7 +130,7 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
         columns.append(Column(robot.name, [*values, *of_motion, left_out]))
     by_name = [(robot.name, robot.quantities) for robot in responses]
     drift = DRIFT_S / max(robot.duration_s for robot in responses)
-    usual = USUAL | {"clock_drift": (-drift, drift)}
+    usual = USUAL_RANGES | {"clock_drift": (-drift, drift)}
     notes = [
         _lag_for_spec(responses),
         undetermined_values(by_name, DETERMINED),

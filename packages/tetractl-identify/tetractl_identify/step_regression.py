@@ -18,11 +18,11 @@ from tetractl.core.poses import Floats
 from tetractl_identify.driven_steps import DEAD_TIME_UNIT_S, UsedSteps
 from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
 
-LN_MOST = 25.0
+LN_FACTOR_MAX = 25.0
 """Maximum magnitude of the logarithm of a parameter in its unit: beyond it, numbers overflow."""
 TURN_ERROR_RAD = 5e-4
 """Standard deviation by which the model errs in a turn [rad]."""
-WAY_ERROR = 0.005
+DISTANCE_ERROR = 0.005
 """Standard deviation by which the model errs in a distance, relative to the usual one.
 
 Robots do not drive exact arcs, and wheels turn by whole counts.
@@ -37,7 +37,7 @@ OTHER_PRIOR_STD = 1.0
 
 The prior is around 0, relative to the motion, and so wide that it hardly matters.
 """
-NOTHING = 1e-6
+ABSENT_GAIN_STD = 1e-6
 """Factor on this deviation if the data cannot distinguish the two integrals."""
 
 
@@ -61,16 +61,16 @@ class ResponseParameters:
     position_noise: float
     clock_drift: float
 
-    def at(self, vector: Floats) -> "ResponseParameters":
+    def scaled_by(self, vector: Floats) -> "ResponseParameters":
         """Convert a vector (8,) to parameters.
 
         `self` contains the units. A vector of zeros gives the dead time of `self` and no drift.
         """
-        factor = np.exp(np.clip(vector, -LN_MOST, LN_MOST))
+        factor = np.exp(np.clip(vector, -LN_FACTOR_MAX, LN_FACTOR_MAX))
         return ResponseParameters(
             dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
-            turning_lag=_lag(self.turning_lag * factor[1]),
-            speed_lag=_lag(self.speed_lag * factor[2]),
+            turning_lag=_clip_lag(self.turning_lag * factor[1]),
+            speed_lag=_clip_lag(self.speed_lag * factor[2]),
             heading_walk=self.heading_walk * factor[3],
             way_walk=self.way_walk * factor[4],
             heading_noise=self.heading_noise * factor[5],
@@ -83,7 +83,7 @@ class ResponseParameters:
         return steps.integrals(self.dead_time, self.speed_lag, self.turning_lag, self.clock_drift)
 
 
-def _lag(lag_s: float) -> float:
+def _clip_lag(lag_s: float) -> float:
     """Limit a lag [s] to the range from SHORTEST_LAG_S to LONGEST_LAG_S."""
     return min(max(lag_s, SHORTEST_LAG_S), LONGEST_LAG_S)
 
@@ -98,28 +98,28 @@ class Whitened:
         y: Whitened turns or distances, shape (M,). The residual y - x gains is white.
         x: Whitened integrals, shape (M, 2), of p and of q.
         ln_root: Logarithms of the diagonal of the root, shape (M,).
-        own: Column of the integral that the motion follows: 0 for distances, 1 for turns.
+        own_column: Column of the integral that the motion follows: 0 for distances, 1 for turns.
         own_only: Whether the other integral adds nothing.
     """
 
     y: Floats
     x: Floats
     ln_root: Floats
-    own: int
+    own_column: int
     own_only: bool
 
     @property
     def prior(self) -> tuple[Floats, Floats]:
         """The prior of the gains: its mean (2,), and the inverse of its variance (2,)."""
         lengths = np.linalg.norm(self.x, axis=0)
-        scale = max(float(lengths[self.own]), float(np.linalg.norm(self.y)), 1e-12)
-        std = OTHER_PRIOR_STD * (NOTHING if self.own_only else 1.0)
+        scale = max(float(lengths[self.own_column]), float(np.linalg.norm(self.y)), 1e-12)
+        std = OTHER_PRIOR_STD * (ABSENT_GAIN_STD if self.own_only else 1.0)
         weights = np.square(np.maximum(lengths, 1e-12) / (std * scale))
-        weights[self.own] = np.square(
-            max(float(lengths[self.own]), 1e-12) / (GAIN_PRIOR_STD * scale)
+        weights[self.own_column] = np.square(
+            max(float(lengths[self.own_column]), 1e-12) / (GAIN_PRIOR_STD * scale)
         )
         mean = np.zeros(2)
-        mean[self.own] = 1.0
+        mean[self.own_column] = 1.0
         return mean, weights
 
     @property
@@ -144,10 +144,10 @@ class Whitened:
         return float(likelihoods.sum() - ln_information / 2)
 
 
-def _whiten(
+def _whiten_steps(
     measured: Floats,
-    own: int,
-    p: ResponseParameters,
+    own_column: int,
+    parameters: ResponseParameters,
     steps: UsedSteps,
     walk: float,
     noise: float,
@@ -162,21 +162,30 @@ def _whiten(
     covariance[0] = walk**2 * steps.duration_s + error**2 + 2 * noise**2
     covariance[1, :-1] = np.where(steps.neighbours, -(noise**2), 0.0)
     root = cholesky_banded(covariance, lower=True)
-    whitened = solve_banded((1, 0), root, np.column_stack([measured, p.integrals(steps)]))
-    return Whitened(whitened[:, 0], whitened[:, 1:], np.log(root[0]), own, steps.in_one_ratio)
+    whitened = solve_banded((1, 0), root, np.column_stack([measured, parameters.integrals(steps)]))
+    y, x = whitened[:, 0], whitened[:, 1:]
+    return Whitened(y, x, np.log(root[0]), own_column, steps.in_one_ratio)
 
 
-def whitened_turns(steps: UsedSteps, p: ResponseParameters) -> Whitened:
+def whitened_turns(steps: UsedSteps, parameters: ResponseParameters) -> Whitened:
     """Whiten the turn of each step, so that its noise is independent and has variance 1.
 
     Args:
         steps: The steps of a robot.
-        p: The parameters of its response, which determine the noise.
+        parameters: The parameters of its response, which determine the noise.
     """
-    return _whiten(steps.turned, 1, p, steps, p.heading_walk, p.heading_noise, TURN_ERROR_RAD)
+    return _whiten_steps(
+        steps.turned,
+        1,
+        parameters,
+        steps,
+        parameters.heading_walk,
+        parameters.heading_noise,
+        TURN_ERROR_RAD,
+    )
 
 
 def whitened_ways(steps: UsedSteps, p: ResponseParameters) -> Whitened:
     """Whiten the distance of each step along the heading; see `whitened_turns`."""
-    error = WAY_ERROR * float(np.median(np.abs(steps.way))) + 1e-12
-    return _whiten(steps.way, 0, p, steps, p.way_walk, p.position_noise, error)
+    error = DISTANCE_ERROR * float(np.median(np.abs(steps.distance_along))) + 1e-12
+    return _whiten_steps(steps.distance_along, 0, p, steps, p.way_walk, p.position_noise, error)

@@ -10,7 +10,7 @@ from tetractl.core.errors import printable
 from tetractl.tools.likelihood import SampleInterval
 from tetractl_identify.explained import CHECKLIST
 
-USUAL = {
+USUAL_RANGES = {
     "dead_time": (0.0, 0.6),
     "a": (0.05, 50.0),
     "turning_gain": (0.5, 2.0),
@@ -20,7 +20,7 @@ USUAL = {
 }
 """Usual ranges of values, in the units of the tables."""
 GAINS = ("turning_gain", "speed_gain")
-REACH_MOST = {"dead_time": 0.3, "turning_gain": 0.5, "speed_gain": 0.5}
+HALF_WIDTH_MAX = {"dead_time": 0.3, "turning_gain": 0.5, "speed_gain": 0.5}
 """Half width of an interval above which the data do not determine the value.
 
 It is multiplied by the value if that is above 1.
@@ -37,19 +37,19 @@ def is_determined(name: str, value: SampleInterval) -> bool:
     """
     if math.isnan(value.low):
         return True  # its interval is not stated
-    reach = max(value.high - value.value, value.value - value.low)
-    most = REACH_MOST.get(name, math.inf) * max(1.0, abs(value.value))
-    return reach <= most and math.isfinite(reach)
+    half_width = max(value.high - value.value, value.value - value.low)
+    half_width_max = HALF_WIDTH_MAX.get(name, math.inf) * max(1.0, abs(value.value))
+    return half_width <= half_width_max and math.isfinite(half_width)
 
 
 def may_be_usual(name: str, value: SampleInterval) -> bool:
     """Check whether the interval of a value overlaps the range of usual values for this name."""
-    return _overlaps(value, *USUAL[name])
+    return _overlaps(value, *USUAL_RANGES[name])
 
 
-def _overlaps(value: SampleInterval, low: float, high: float) -> bool:
+def _overlaps(value: SampleInterval, lower: float, upper: float) -> bool:
     """Check whether the interval of a value overlaps a range. Ends that touch count as overlap."""
-    return value.low <= high and value.high >= low
+    return value.low <= upper and value.high >= lower
 
 
 def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bool:
@@ -63,7 +63,7 @@ def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bo
 
 
 def unusual_values(
-    robots: Sequence[tuple[str, Values]], usual: Mapping[str, tuple[float, float]] = USUAL
+    robots: Sequence[tuple[str, Values]], usual: Mapping[str, tuple[float, float]] = USUAL_RANGES
 ) -> str:
     """Describe in one sentence the values outside their usual ranges. Empty if there are none.
 
@@ -71,7 +71,7 @@ def unusual_values(
         robots: The values of each robot, by name.
         usual: The usual ranges.
     """
-    said: list[str] = []
+    sentences: list[str] = []
     for name, values in robots:
         for quantity, (low, high) in usual.items():
             value = values.get(quantity)
@@ -79,9 +79,9 @@ def unusual_values(
                 continue
             if _overlaps(value, low, high) and not is_determined(quantity, value):
                 continue  # it may as well be usual
-            what = f"the {quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
-            said.append(f"{what} (usual: {low:.3g} to {high:.3g})")
-    return f"{'; '.join(said)}: {CHECKLIST}" if said else ""
+            sentence = f"the {quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
+            sentences.append(f"{sentence} (usual: {low:.3g} to {high:.3g})")
+    return f"{'; '.join(sentences)}: {CHECKLIST}" if sentences else ""
 
 
 def undetermined_values(robots: Sequence[tuple[str, Values]], names: Sequence[str]) -> str:
@@ -91,15 +91,15 @@ def undetermined_values(robots: Sequence[tuple[str, Values]], names: Sequence[st
         robots: The values of each robot, by name.
         names: The names of the values to check.
     """
-    said: list[str] = []
+    parts: list[str] = []
     for robot, values in robots:
         missing = [name for name in names if not is_determined(name, values[name])]
         if missing:
             listed = ", ".join(name.replace("_", " ") for name in missing)
-            said.append(f"{listed} of {printable(robot)}")
-    if not said:
+            parts.append(f"{listed} of {printable(robot)}")
+    if not parts:
         return ""
     return (
-        f"the data do not determine {'; '.join(said)}. Record again: change speed and turning "
+        f"the data do not determine {'; '.join(parts)}. Record again: change speed and turning "
         "rate often, and turn to both sides"
     )

@@ -17,7 +17,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_identify.pose_steps import robust_gains
 from tetractl_identify.tracks import Track
-from tetractl_identify.turn_samples import Turns
+from tetractl_identify.turn_samples import TurnSamples
 
 LAG_S = 0.02
 """Lag of the wheels that is tried [s].
@@ -49,7 +49,10 @@ def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
         tracks: Tracks of the same robots.
         dead_time_s: The dead time [s].
     """
-    robots = [[Turns.of(track, robot) for track in tracks] for robot in range(len(tracks[0].names))]
+    robots = [
+        [TurnSamples.from_track(track, robot) for track in tracks]
+        for robot in range(len(tracks[0].names))
+    ]
     if not all(any(len(turns.angle) for turns in of_robot) for of_robot in robots):
         return True
     without = _unexplained(robots, 0.0, dead_time_s)
@@ -59,7 +62,7 @@ def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
     return bool(of_blocks.sum() < SURE * deviation)
 
 
-def _unexplained(robots: Sequence[Sequence[Turns]], lag_s: float, near_s: float) -> Floats:
+def _unexplained(robots: Sequence[Sequence[TurnSamples]], lag_s: float, near_s: float) -> Floats:
     """Compute how far the turns of robots (R, K) differ from those with lagging wheels [rad].
 
     The turns of all robots are concatenated. Of the dead times near `near_s` [s], the best one is
@@ -70,7 +73,7 @@ def _unexplained(robots: Sequence[Sequence[Turns]], lag_s: float, near_s: float)
         of_robots: list[Floats] = []
         for of_robot in robots:
             angle = np.concatenate([turns.angle for turns in of_robot])
-            turning = np.concatenate([turns.asked(lag_s, dead_time_s) for turns in of_robot])
+            turning = np.concatenate([turns.asked_turns(lag_s, dead_time_s) for turns in of_robot])
             causes = np.column_stack([turning.imag, turning.real])
             of_robots.append(np.abs(angle - causes @ robust_gains(angle, causes)))
         return np.concatenate(of_robots)

@@ -65,11 +65,16 @@ class KernelLibrary(JITCodeLibrary):
     """Numba's code library for a kernel together with its parts."""
 
     def _optimize_final_module(self) -> None:
-        """Optimise the kernel after its parts have become its own."""
+        """Optimise the kernel after its parts have become its own.
+
+        Numba would optimise it twice: the first time quickly, to find needless counts of
+        references. The kernels whose compilation takes long have none.
+        """
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
                 function.linkage = "internal"
-        super()._optimize_final_module()
+        pass_manager, pass_builder = self._codegen._module_pass_manager()
+        pass_manager.run(self._final_module, pass_builder)
 
 
 class SharedFlags(Flags):
@@ -136,7 +141,8 @@ _NEEDLESS = {
 }
 """Numba's passes for parts of Python that kernels do not use: `with`, closures, and `literally`.
 
-Most of them search each function for what they translate, and then analyse it again.
+Most of them search each function for what they translate, and then analyse it again. Kernels that
+create no arrays also need no `NopythonRewrites`, which merges operations of whole arrays.
 """
 
 
@@ -164,9 +170,11 @@ class _QuickCompiler(Compiler):
         _use_library(self.state, self.library)
         managers = super().define_pipelines()
         constants = self.state.func_id.code.co_consts
+        creates_arrays = self.state.flags.nrt
+        needless = _NEEDLESS if creates_arrays else _NEEDLESS | {typed_passes.NopythonRewrites}
         if not any(isinstance(constant, CodeType) for constant in constants):  # no closures
             for manager in managers:
-                manager.passes = [each for each in manager.passes if each[0] not in _NEEDLESS]
+                manager.passes = [each for each in manager.passes if each[0] not in needless]
                 manager.finalize()
         return managers
 

@@ -105,6 +105,22 @@ def _as_usual(self: Mpc, step: mpc.ControlStep, warm: Any) -> Any:
     return stop or self._go_on(self._search_under_way(step, warm))
 
 
+def _one_signal_more(self: Mpc, step: mpc.ControlStep, searcher: Searcher, start: Any) -> None:
+    """Search lengths that differ by one signal, each from the present plan and without a start."""
+    least = min(self._value(step, plan) for plan in self._plans(step.problem, searcher.found))
+    for length in range(len(start), step.signals_max + 1):
+        if step.value.plan(0.0, length, length > len(start) + 1) >= least:
+            return
+        for begin in (lengths.resampled(start, length), None):
+            search = searcher.search(length, begin)
+            if search is None:
+                return
+            newest = self._planned(step.problem, searcher.found, len(searcher.found) - 1)
+            least = min(least, self._value(step, newest))
+            if self._is_good(search):
+                break
+
+
 def _stop_now(self: Mpc, problem: Any, within_s: float) -> Any:
     return best_stop(problem, self.estimator.held_at_action, 0.0)
 
@@ -180,8 +196,12 @@ RULES = {
         ((Searcher, "shorten", lambda self, *_: self.found[-1].length),), (*TIME, "sticking-5hz")
     ),
     "four first plans": Rule(((lengths, "TRIES", 1),), TIME),
+    "no more than four first plans": Rule(((lengths, "TRIES", 12),), TIME),
     "slack": Rule(((mpc, "SLACK", 1.0),), (*TIME, "sticking-5hz")),
     "longer plans": Rule((_returns(Mpc, "_search_longer", None),), (*TIME, "sticking-5hz")),
+    "lengths that grow by a fifth": Rule(
+        ((Mpc, "_search_longer", _one_signal_more),), (*TIME, *WALLS, "sticking-5hz", "cells")
+    ),
     "six signals a robot": Rule(((lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
     "attempts cost": Rule((_value(new=False),), ("sticking-5hz", "wander", "strip")),
     "attempts cost more and more": Rule(

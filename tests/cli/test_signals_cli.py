@@ -262,7 +262,8 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
         lines = running.err.read_text().splitlines()
         assert lines[-2].startswith("logs are in logs")
         assert (
-            lines[-1] == "interrupted; to continue, give the same command with --out logs --resume"
+            lines[-1]
+            == "interrupted; to continue, run the same command again with --out logs --resume"
         )
 
 

@@ -72,7 +72,7 @@ def test_a_study_outlives_a_worker_and_by_the_same_command_a_scheduler(tmp_path)
             assert running.end() == 1
     assert running.err.read_text() == (
         f"error: {address}: the scheduler does not answer any more; all results so far are stored\n"
-        "hint: to continue, start a scheduler, and give the same command with its address\n"
+        "hint: to continue, start a scheduler, and run the same command again with its address\n"
     )
     assert 20 <= logs(there) < 64
     with cluster(tmp_path) as (address, _, _):

@@ -169,5 +169,5 @@ def assert_interrupted(running, trials, reason=""):
         assert log.result.reason.startswith(reason)
         assert len(log.steps) == log.result.steps
     last = running.err.read_text().splitlines()[-1]
-    assert last == "interrupted; to continue, give the same command with --out logs --resume"
+    assert last == "interrupted; to continue, run the same command again with --out logs --resume"
     assert "interrupted" in running.out.read_text()

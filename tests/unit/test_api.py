@@ -219,10 +219,13 @@ def test_a_trial_of_a_study_that_fails_is_raised_when_all_others_are_written(
 
 NOT_TAKEN = {
     "a spec's file": (lambda: tetractl.load_spec(yaml.safe_load(SPEC)), "parse_spec takes a dict"),
-    "a study": (lambda: tetractl.run_study(3), "a study is a file or a dict"),
-    "a study's folder": (lambda: tetractl.run_study({}, 3), "a folder is a path"),
-    "a batch's folder": (lambda: tetractl.run_batch(SPEC_DICT, None), "a folder is a path"),
-    "a trial's folder": (lambda: tetractl.run_trial(SPEC_DICT, folder=3), "a folder is a path"),
+    "a study": (lambda: tetractl.run_study(3), "a study must be a file or a dict"),
+    "a study's folder": (lambda: tetractl.run_study({}, 3), "the folder must be a path"),
+    "a batch's folder": (lambda: tetractl.run_batch(SPEC_DICT, None), "the folder must be a path"),
+    "a trial's folder": (
+        lambda: tetractl.run_trial(SPEC_DICT, folder=3),
+        "the folder must be a path",
+    ),
     "a trial's number": (
         lambda: tetractl.run_trial(SPEC_DICT, "5"),
         "a trial must be a whole number",
@@ -367,11 +370,13 @@ def test_problems_of_contents_name_no_line_of_a_text_that_nobody_wrote(tmp_path)
 
 def test_another_object_is_refused_in_one_line():
     with pytest.raises(
-        UsageError, match=r"^a spec is a file, a dict or .* but this is of type int$"
+        UsageError,
+        match=r"^a spec must be a file, a dict or .* but the value given is of type int$",
     ):
         tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]
     with pytest.raises(
-        UsageError, match=r"^a trial is the file of a log, or .* but this is of type int$"
+        UsageError,
+        match=r"^a trial must be the file of a log, or .* but the value given is of type int$",
     ):
         tetractl.to_arrays(5)  # pyright: ignore[reportArgumentType]
     contents = yaml.safe_load(SPEC) | {"name": np.zeros(3)}

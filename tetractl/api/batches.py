@@ -68,7 +68,7 @@ def run_batch(
     from tetractl.view.terminal.progress import progress_of_script
 
     spec = as_spec(spec)
-    demand(folder, str | Path, "a folder is a path")
+    demand(folder, str | Path, "the folder must be a path")
     store = Store.of_batch(Path(folder), spec.experiment)
     check_simulated(spec, announcer(progress))
     after = (
@@ -127,9 +127,9 @@ def run_study(
     from tetractl.view.terminal.progress import progress_of_script
 
     if folder is not None:
-        demand(folder, str | Path, "a folder is a path")
+        demand(folder, str | Path, "the folder must be a path")
     if not isinstance(study, Mapping):
-        demand(study, str | Path, "a study is a file or a dict")
+        demand(study, str | Path, "a study must be a file or a dict")
         study = Path(study)
     loaded = load_study(study)
     store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))

@@ -77,7 +77,7 @@ def as_trial(trial: Trial) -> TrialLog:
     """Read the log of a trial that is given as its file. A `TrialLog` is returned unchanged."""
     if isinstance(trial, TrialLog):
         return trial
-    demand(trial, str | Path, "a trial is the file of a log, or a value that read_log returns")
+    demand(trial, str | Path, "a trial must be the file of a log, or a value that read_log returns")
     return read_log(trial)
 
 
@@ -89,7 +89,11 @@ def as_batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
         return batch
     if isinstance(batch, str | Path):
         return read_batch(batch)
-    demand(batch, Iterable, "a batch is a folder, paths of logs or a value that read_batch returns")
+    demand(
+        batch,
+        Iterable,
+        "a batch must be a folder, paths of logs or a value that read_batch returns",
+    )
     return read_batch(*batch)
 
 

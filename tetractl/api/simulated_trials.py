@@ -53,7 +53,7 @@ def run_trial(
     spec = as_spec(spec)
     trial = whole_number(trial, "a trial")
     if folder is not None:
-        demand(folder, str | Path, "a folder is a path")
+        demand(folder, str | Path, "the folder must be a path")
     check_simulated(spec, announcer(True))
     if folder is None:
         return _simulate(spec, trial, observers)

@@ -53,7 +53,7 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
     _demand_texts(sets)
     if isinstance(text, Mapping):
         return load.parse_contents(text, "spec", sets)
-    demand(text, str, "the contents of a spec are a string or a dict")
+    demand(text, str, "the contents of a spec must be a string or a dict")
     return load.parse_spec(text, "spec", sets)
 
 
@@ -80,11 +80,11 @@ def as_spec(spec: Spec) -> LoadedSpec:
         return spec
     if isinstance(spec, Mapping):
         return parse_spec(spec)
-    demand(spec, str | Path, "a spec is a file, a dict or a value that load_spec returns")
+    demand(spec, str | Path, "a spec must be a file, a dict or a value that load_spec returns")
     return load_spec(spec)
 
 
 def _demand_texts(sets: Sequence[str]) -> None:
     """Check that all settings of a call are texts such as "trials.count=5"."""
     for setting in sets:
-        demand(setting, str, 'a setting is a string such as "trials.count=5"')
+        demand(setting, str, 'a setting must be a string such as "trials.count=5"')

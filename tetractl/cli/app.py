@@ -42,7 +42,7 @@ PANELS = {
 
 A command that is in no group belongs to another package.
 """
-OTHERS = "Of other packages"
+OTHERS = "From other packages"
 PANEL_OF = {name: panel for panel, names in PANELS.items() for name in names}
 
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")

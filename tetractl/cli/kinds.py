@@ -32,11 +32,17 @@ def kinds(
     ] = None,
     spec: Annotated[
         Path | None,
-        option("SPEC", "With --check: a spec that provides robots, arena, obstacles and section."),
+        option(
+            "SPEC", "Spec whose robots, arena, obstacles and section the checks use. Needs --check."
+        ),
     ] = None,
     sets: Annotated[
         list[str] | None,
-        option("FIELD=VALUE", "With --check: set a field of the kind. Can be repeated.", "--set"),
+        option(
+            "FIELD=VALUE",
+            "Set a field of the kind that is checked. Needs --check. Can be repeated.",
+            "--set",
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> int:

@@ -80,7 +80,10 @@ def check(
     if yes:
         return Exit.DONE
     if preflight.questions and not has_keys():
-        ui.tell("the questions were not answered: without a terminal, add --yes")
+        ui.tell(
+            "there is no terminal in which to answer the questions; to answer yes"
+            " to all of them, add --yes"
+        )
         return Exit.FAILED
     agreed = all(typer.confirm(question, err=True) for question in preflight.questions)
     return Exit.DONE if agreed else Exit.FAILED
@@ -88,13 +91,13 @@ def check(
 
 def stop(
     spec: Annotated[
-        Path | None, argument("[SPEC]", "Spec file, of which only the actuator is used.")
+        Path | None, argument("[SPEC]", "Spec file. The command reads only its actuator.")
     ] = None,
     sets: Sets = None,
     port: Annotated[
         str | None, option("PORT", "Serial port of an m3pi radio, instead of a spec.")
     ] = None,
-    baud: Annotated[int, option("N", "With --port: baud rate of the radio.")] = 57600,
+    baud: Annotated[int, option("N", "Baud rate of the radio at --port.")] = 57600,
 ) -> int:
     """Stop every robot, through the spec's actuator or the port of an m3pi radio.
 
@@ -183,8 +186,7 @@ def calibrate(
         int,
         option(
             "N",
-            "Maximum output that the calibration sends, in 127ths of full speed. For m3pi "
-            "robots, this is a wheel count.",
+            "Maximum motor output during the calibration, where 127 is full speed.",
             min=10,
             max=80,
         ),

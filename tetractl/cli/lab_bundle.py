@@ -10,12 +10,20 @@ from tetractl.core.errors import Exit, printable
 def bundle(
     files: Annotated[
         list[Path],
-        argument("FILE...", "Logs and folders of logs, captures (pcap), and text files."),
+        argument(
+            "FILE...",
+            "Files to put into the bundle: logs, folders of logs, "
+            "network captures (pcap) and text files.",
+        ),
     ],
     out: Annotated[Path, out_option("FILE", "Zip file to write.")],
     remove: Annotated[
         list[str] | None,
-        option("NAME", "Replace this name everywhere. Can be repeated.", "--remove"),
+        option(
+            "NAME",
+            "Name to replace by an alias everywhere in the bundle. Can be repeated.",
+            "--remove",
+        ),
     ] = None,
 ) -> int:
     """Pack logs, captures and texts for a report, without names and addresses.

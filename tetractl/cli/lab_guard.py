@@ -29,7 +29,8 @@ def guard(
         int,
         option(
             "N",
-            "Number of interventions to list for each log. The rest are only counted.",
+            "Maximum number of interventions of the guard to list for each log. "
+            "Further ones are only counted.",
             "--most",
             min=0,
         ),

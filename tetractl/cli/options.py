@@ -88,8 +88,9 @@ Lab = Annotated[
 Unattended = Annotated[
     bool,
     switch(
-        "Only in the lab, with --yes: go on if the terminal closes or no process reads the "
-        "output any more. Without this option, the robots then stop.",
+        "Keep running if the terminal closes, or if no process reads the output any "
+        "more. Without this option, the robots then stop. Only for a lab, and only "
+        "with --yes.",
         "--unattended",
     ),
 ]
@@ -109,7 +110,8 @@ Serve = Annotated[
     switch("Print a link that shows the trial in Foxglove or Lichtblick as it runs.", "--serve"),
 ]
 ServePort = Annotated[
-    int | None, tcp_port("With --serve: TCP port of the server. 0 chooses any free port. [8765]")
+    int | None,
+    tcp_port("TCP port of the server that --serve starts. 0 chooses any free port. [8765]"),
 ]
 StatsJson = Annotated[
     bool, switch("Print the statistics as JSON, like `stats --format json`.", "--json")

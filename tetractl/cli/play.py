@@ -69,7 +69,8 @@ def play(
         Path | None,
         options.option(
             "FILE",
-            "Read the keys from a file with lines such as `1.5 up`, and run in virtual time.",
+            "Read the keys from a file instead of the keyboard, and run as fast as "
+            "possible. For example, the line `1.5 up` presses the key up after 1.5 s.",
         ),
     ] = None,
     html: Annotated[
@@ -87,15 +88,15 @@ def play(
     their targets.
 
     Afterwards, Enter lets the controller steer the same robots from the same start, with the same
-    disturbances if the spec has any; R lets you try again. All trials are logged in DIR/you,
-    DIR/you-2 and so on, and DIR/controller. `verify`, `replay` and `stats` treat yours as given
-    directions.
+    disturbances if the spec has any. R lets you try again. Your trials are logged in DIR/you,
+    DIR/you-2 and so on, and the controller's trial in DIR/controller. `verify`, `replay` and
+    `stats` treat your trials as given directions.
 
     In the lab, and in an emulated lab, Esc is the emergency stop. In the lab, robots are placed and
-    started as by `run`, and the controller's trial is left out.
+    started in the same way as by `run`, and the controller does not steer afterwards.
 
-    --html writes a page for a browser, which needs no network: for a phone, a class or a website.
-    Its robots move without the spec's disturbances.
+    With --html, the command only writes a page for a browser, for example for a phone, a class or a
+    website. The page needs no network. Its robots move without the spec's disturbances.
 
     Example: tetractl play experiments/three_m3pi.yaml
     """

@@ -30,17 +30,15 @@ def plot(
 ) -> int:
     """Draw a figure of one trial or several, and print the name of its file.
 
-    trajectory: paths in one trial or several, the paper's Figure 5.
-    convergence: cost over the iterations, the paper's Figure 3.
-    swarm: particles of the first search, the paper's Figure 2 (from tetractl-papers).
-    errors: errors over time, of one trial or, with their median by folder, of several.
-    batch: final errors by folder: each trial, the mean with its interval, the distribution.
-    over-time: signal, solve times, and the estimates of turning rate a, speed and so on.
-    video: the trial as a video.
+    trajectory: the robots' paths in one trial or several, as in the paper's Figure 5.
+    convergence: the cost over the iterations of a search, as in the paper's Figure 3.
+    swarm: the particles of the first search, as in the paper's Figure 2 (from tetractl-papers).
+    errors: the errors over time of one trial, or of several trials with their median by folder.
+    batch: the final errors by folder: each trial, the mean with its interval, the distribution.
+    over-time: the signal, the solve times, and the estimates of turning rate a, speed and so on.
+    video: the trial as a video. MP4 needs ffmpeg.
 
-    Installed packages may add figures.
-
-    The same log gives the same bytes. MP4 needs ffmpeg.
+    Installed packages may add figures. The same log always gives the same bytes.
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """

@@ -37,9 +37,10 @@ def replay(
     Times count from the first direction that was sent. A log from a lab begins earlier, and can be
     played for example from --start -5.
 
-    Keys: space pause or continue; arrows 1 s back or forward; , . previous and next control step; E
-    e previous and next event; Home End; + - twice and half the rate; p n previous and next trial; ?
-    all keys; q quit.
+    Keys: space pauses or continues; the arrows go back or forward by 1 s; , and . go to the
+    previous and next control step, E and e to the previous and next event, Home and End to the
+    start and end, p and n to the previous and next trial; + and - double and halve the rate; ?
+    shows all keys; q quits.
 
     Without a terminal, the command prints one line for each control step and event.
 

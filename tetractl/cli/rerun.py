@@ -108,8 +108,8 @@ def _tell_errors(raw: "RawLog", raw_again: "RawLog") -> None:
     error_again = result_of(raw_again).result.total_error
     unit = raw.run.unit
     ui.tell(
-        f"total error {error_again:.2f} {unit}, in the log {error:.2f} {unit}; nothing else "
-        "is compared, because the specs differ"
+        f"the total error is {error_again:.2f} {unit}, and was {error:.2f} {unit} in "
+        "the log; nothing else is compared, because the specs differ"
     )
 
 

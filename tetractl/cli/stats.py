@@ -51,16 +51,14 @@ def stats(
         ),
     ] = False,
 ) -> int:
-    """Print the total errors of batches, the verdict of their comparison, and what is unusual.
+    """Print the total errors of batches, a comparison of the batches, and unusual trials.
 
     The command compares every pair of batches, or every batch with the baseline given by --against.
     Trials are paired if their seeds match. The tests are corrected for the number of comparisons.
-    If
-    trials of a study have no logs, they are read from its table.
+    If trials of a study have no logs, they are read from its table.
 
     Trials that were aborted or interrupted, and attempts that --resume replaced, are flagged and
-    left
-    out of the means. Exits with 1 if a log is damaged.
+    left out of the means. Exits with 1 if a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 

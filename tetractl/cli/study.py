@@ -174,7 +174,7 @@ def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
         ui.tell(f"{aborted} trials aborted")
     if lacking > 0:
         ui.tell(
-            f"{lacking} of {wanted} trials are missing; to continue, give the same command again"
+            f"{lacking} of {wanted} trials are missing; to continue, run the same command again"
         )
     if interrupted:
         ui.tell("interrupted")

@@ -413,7 +413,7 @@ def _conclude(
         raise error
     last_aborted = bool(report.results) and next(reversed(report.results)) in report.aborted
     if interrupted and not last_aborted:
-        go_on = f"to continue, give the same command with --out {quote(str(folder))} --resume"
+        go_on = f"to continue, run the same command again with --out {quote(str(folder))} --resume"
         if in_lab and interrupt.terminated:
             ui.tell(
                 "interrupted by a signal. If the signal came from `tetractl lab stop`, the "

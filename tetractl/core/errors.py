@@ -78,7 +78,7 @@ def demand(value: object, kind: Any, words: str) -> None:
         UsageError: If the value has another type.
     """
     if not isinstance(value, kind):
-        raise UsageError(f"{words}, but this is of type {type(value).__name__}")
+        raise UsageError(f"{words}, but the value given is of type {type(value).__name__}")
 
 
 def whole_number(value: object, what: str) -> int:
@@ -97,7 +97,7 @@ def whole_number(value: object, what: str) -> int:
         number = -1
     if number < 0:
         raise UsageError(
-            f"{what} must be a whole number of at least 0, but this is {printable(str(value), 40)}"
+            f"{what} must be a whole number of at least 0, but it is {printable(str(value), 40)}"
         )
     return number
 

@@ -72,12 +72,20 @@ def check_plan(plan: Plan, robots: int) -> None:
             raise ValueError("a search has no history")
         if not isinstance(search.stopped, str):
             wrong = type(search.stopped).__name__
-            raise ValueError(f"the field stopped of a search must be a text, but it is {wrong}")
+            raise ValueError(
+                f"the field `stopped` of a search must be a string, but it is of type {wrong}"
+            )
     if len(plan.numbers) > NUMBERS_MAX:
-        raise ValueError(f"a plan has {len(plan.numbers)} numbers of its controller")
+        raise ValueError(
+            f"a plan has {len(plan.numbers)} entries in `numbers`, but at"
+            f" most {NUMBERS_MAX} are allowed"
+        )
     for name in plan.numbers:
         if not (name.isidentifier() and len(name) <= NUMBER_NAME_MAX):
-            raise ValueError(f"a number is called {printable(name, NUMBER_NAME_MAX)!r}")
+            raise ValueError(
+                f"the entry {printable(name, NUMBER_NAME_MAX)!r} of a "
+                "plan's `numbers` must be a name of letters, digits and _"
+            )
     costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
     costs += [search.cost for search in searches]
     values = {

@@ -606,7 +606,10 @@ class Guard:
             elif too_long is not None:
                 self.lose_robot(i, robot.untracked_text, refusal.excess or too_long)
             elif rarely_seen is not None:
-                rarely = "is seen too rarely: it, or frames, are missing too often"
+                rarely = (
+                    "is seen too rarely: too many frames are missing, or it is "
+                    "missing in too many frames"
+                )
                 self.lose_robot(i, f"{robot.name} {rarely}", rarely_seen)
             if self.state is GuardState.ABORT:
                 return

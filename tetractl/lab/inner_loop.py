@@ -317,7 +317,7 @@ class InnerLoop:
         self._obey_operator(now)
         failure: object = self._actuator.failure
         if not isinstance(failure, str | None):
-            raise WrongValueError("an actuator", "a failure that is no text")
+            raise WrongValueError("an actuator", "a `failure` that is neither a string nor None")
         ruling = self.guard.decide(now, self._camera.damaged, failure)
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT:

@@ -120,8 +120,9 @@ def hold(name: str) -> int:
             raise PortHeldError(str(lock), name) from None
         why = "is a link" if error.errno == errno.ELOOP else error.strerror
         raise AbortError(
-            f"{lock}, the lock file of {name}: {why}",
-            f"remove the lock file if it exists, and let this user write to {LOCKS}",
+            f"{lock}: this lock file of {name} cannot be used: {why}",
+            "remove the file if it exists; otherwise, give this user permission to "
+            f"write to the folder {LOCKS}",
         ) from None
     return file
 
@@ -197,7 +198,7 @@ class UdpPort(SerialPort):
             self._socket.bind(("", port))
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
-            raise AbortError(why, "does another program already listen at this port?") from None
+            raise AbortError(why, "does another program already listen on this port?") from None
         if self._to is not None and not ipaddress.ip_address(self._to[0]).is_multicast:
             try:
                 self._socket.connect(self._to)  # what others send is not heard

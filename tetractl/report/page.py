@@ -46,9 +46,10 @@ The page then stays below 5 MB. Its tables have all trials.
 CARRIED_MIN = 3
 """Minimum number of trials of a batch that the page contains."""
 LEFT_OUT = (
-    "<p>The page carries {} of {} trials, without plans and searches: of each batch those at evenly"
-    " spaced ranks of the total error, from the best to the worst, and some that do not count. The"
-    " tables hold all trials.</p>"
+    "<p>This page contains {} of {} trials, without their plans and searches. From "
+    "each batch, it has trials at evenly spaced ranks of the total error, from the "
+    "best to the worst, and some trials that do not count in the means. The tables "
+    "contain all trials.</p>"
 )
 NOT_COUNTED = 3
 """At most one of this many trials on a page is a trial that does not count in the means."""

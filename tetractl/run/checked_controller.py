@@ -94,7 +94,10 @@ class CheckedController:
                     raise ValueError(f"a search has {search.evaluations} evaluations")
             searched = sum(search.signals.size + search.history.size for search in checked.searches)
             if checked.signals.size + checked.path.size + searched > PLAN_SIZE_MAX:
-                raise ValueError("the plan has too many numbers to log")
+                raise ValueError(
+                    f"its plan has more than {PLAN_SIZE_MAX} numbers in its "
+                    "signals, path and searches, too many to log"
+                )
             if not 0 <= checked.chosen < len(checked.searches):
                 raise ValueError(
                     f"its field chosen is {checked.chosen}, but there are "

@@ -152,7 +152,7 @@ class Cluster:
         return AbortError(
             f"{self._address}: the scheduler does not answer any more; all results so far "
             "are stored",
-            "to continue, start a scheduler, and give the same command with its address",
+            "to continue, start a scheduler, and run the same command again with its address",
         )
 
     def _found(

@@ -186,8 +186,8 @@ class Processes:
         """
         for task, ended in self._in_pool(deque([suspect]), 1, start_task):
             if isinstance(ended, BrokenProcessPool):
-                hint = "to continue, give the same command with fewer --jobs"
-                in_python = "to continue, give the same command with fewer jobs"
+                hint = "to continue, run the same command again with fewer --jobs"
+                in_python = "to continue, call the function again with fewer jobs"
                 yield task, AbortError(KILLED, hint, in_python)
             else:
                 yield task, ended

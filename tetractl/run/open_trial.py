@@ -287,14 +287,16 @@ class OpenTrial:
                 "the trial has not ended yet",
                 "call step() until the trial has a result, or call stop()",
             )
-        demand(folder, str | Path, "a folder is a path")
+        demand(folder, str | Path, "the folder must be a path")
         path = log_path(Path(folder), self._trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(Path(folder))
         logged = run_logged(self.spec, Path(folder), self._trial)
         if _outcome_of(logged) != _outcome_of(self._result):
-            raise TetractlError(f"{path}: the repeated trial ended otherwise than the stepped one")
+            raise TetractlError(
+                f"{path}: the trial ended differently when it was repeated to write this log"
+            )
         return path
 
     def _demand_open(self) -> None:

@@ -223,8 +223,9 @@ def coarse_period(context: CheckContext) -> Findings:
     quickest = int(rates.argmax())
     yield SpecFinding(
         ("controller", "period"),
-        f"a T = {rates[quickest]:.3g} for {context.setup.names[quickest]}, which holds "
-        f"signals for T = {context.signal_s:.4g} s, is above {COARSE:g}: {reason}",
+        f"signals of T = {context.signal_s:.4g} s are too long for "
+        f"{context.setup.names[quickest]}: its turning rate a times T is "
+        f"{rates[quickest]:.3g}, above {COARSE:g}: {reason}",
         f"hold signals for less than {COARSE / context.setup.a[quickest]:.3g} s",
     )
 
@@ -328,9 +329,9 @@ def out_of_reach(context: CheckContext) -> Findings:
         if too_few > context.tolerance:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is {context.to_target(i)} away, but in the {context.longest_s:.4g} s of a "
-                f"trial the robot drives only {context.driven(i, context.longest_s)}, "
-                f"{too_few:.4g} too few",
+                f"is {context.to_target(i)} away, but the robot drives only "
+                f"{context.driven(i, context.longest_s)} in the "
+                f"{context.longest_s:.4g} s of a trial, {too_few:.4g} too little",
                 f"raise controller.{context.limit}, or bring the target nearer",
             )
 
@@ -352,9 +353,10 @@ def beyond_the_plan(context: CheckContext) -> Findings:
     i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
     yield SpecFinding(
         ("controller", "horizon_max"),
-        f"{context.setup.names[i]} is {context.to_target(i)} from its target, but in "
-        f"{round(context.plan_s / context.signal_s)} signals ({context.plan_s:.4g} s) it "
-        f"drives only {context.driven(i, context.plan_s)}, {too_few[i]:.4g} too few",
+        f"{context.setup.names[i]} is {context.to_target(i)} from its target, but "
+        f"drives only {context.driven(i, context.plan_s)} in "
+        f"{round(context.plan_s / context.signal_s)} signals ({context.plan_s:.4g} s),"
+        f" {too_few[i]:.4g} too little",
         f"set it to more than {math.ceil(needed_s[i] / context.signal_s)}",
     )
 

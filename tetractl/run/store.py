@@ -229,7 +229,11 @@ class RecordStore:
                 "choose another folder with --out: a folder can hold the trials of only one "
                 "spec, with its --set, and one seed"
             )
-            raise UsageError(f"{path}: this trial has another spec, seed or settings", hint)
+            raise UsageError(
+                f"{path}: this result comes from a trial with another "
+                "spec, other settings or another seed",
+                hint,
+            )
         return record if is_whole else None
 
     def add(self, number: int, record: Mapping[str, Any]) -> None:

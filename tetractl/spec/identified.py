@@ -144,7 +144,10 @@ def _put_rate(
     if not isinstance(stated, dict) or len(stated) != 1:
         document.put(loc, a_rad_s, place)
     elif strength is None:
-        message = "is per strength in the spec, but the logs that gave this value state no strength"
+        message = (
+            "is given per unit of field strength in the spec, but the logs from"
+            " which this value comes do not state a strength"
+        )
         document.problems.append(place.problem(loc, message))
     else:
         (key,) = stated

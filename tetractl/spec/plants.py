@@ -193,7 +193,9 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
                 merged.put(loc, value, place)
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
-        raise SpecError(f"{origin}: with this calibration, {dotted(error.where)} {error}")
+        raise SpecError(
+            f"{origin}: if this calibration is applied, the field {dotted(error.where)} {error}"
+        )
     return updated
 
 

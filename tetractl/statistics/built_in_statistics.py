@@ -463,7 +463,7 @@ def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
     text = f"{unusual_trials} of {trials} trials"
     if not unusual:
         largest = max(turn.limit for turn in turns)
-        return f"{text}, turns above {largest:.2f} rad/s would be seen"
+        return f"{text}, turns above {largest:.2f} rad/s would be noticed"
     named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in unusual]
     return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
 

@@ -236,7 +236,8 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     for turn in turns_of(trials):
         if turn.unusual:
             text = (
-                f"{turn.robot} turned by {turn.off:+.2f} rad/s differently than in the other trials"
+                f"{turn.robot} turned at a rate that differs by {turn.off:+.2f} rad/s "
+                "from its other trials"
             )
             texts[turn.log].append(text)
     return texts

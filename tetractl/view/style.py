@@ -215,7 +215,7 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
     if wanted not in formats:
         problem = f"cannot write '{path.suffix}' {what}s"
         if not wanted:
-            problem = f"the name of a {what} needs an ending that tells the format"
+            problem = f"the ending of the file name must state the format of the {what}"
         endings = ", ".join(f".{name}" for name in formats)
         raise UsageError(f"{path}: {problem}", f"use one of the endings {endings}")
     if not path.absolute().parent.is_dir():

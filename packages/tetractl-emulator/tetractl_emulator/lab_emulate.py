@@ -30,11 +30,14 @@ def emulate(
     ] = "127.0.0.1",
     command_port: Annotated[
         int | None,
-        tcp_port("The camera server's UDP port for commands; 0 for any free port. [spec]"),
+        tcp_port(
+            "UDP port on which the emulated camera server receives commands. 0 "
+            "chooses any free port. [spec]"
+        ),
     ] = None,
     data_port: Annotated[
         int | None,
-        tcp_port("UDP port to send frames to; 0 for any free port. [spec]"),
+        tcp_port("UDP port to send frames to. 0 chooses any free port. [spec]"),
     ] = None,
     port_link: Annotated[
         Path | None,
@@ -48,8 +51,9 @@ def emulate(
         float | None,
         option(
             "S",
-            "Put the robots back on their starts once they have stood still for S seconds. "
-            "After an abort, a run watches the robots for up to 5 s, so give at least 6.",
+            "Put the robots back at their start positions once they have stood still "
+            "for S seconds. Give at least 6, because a run watches the robots for up "
+            "to 5 s after an abort.",
             min=0.1,
         ),
     ] = None,

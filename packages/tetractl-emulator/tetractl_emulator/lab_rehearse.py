@@ -44,8 +44,16 @@ if TYPE_CHECKING:
 def rehearse(
     spec: Spec,
     sets: Sets = None,
-    days: Annotated[int, option("N", "Number of days.", min=1, max=DAYS_MAX)] = 20,
-    seed: Annotated[int, option("S", "Seed of all rehearsal days.", min=0)] = 1,
+    days: Annotated[
+        int,
+        option(
+            "N",
+            "Number of days to rehearse. A day is one trial with random faults.",
+            min=1,
+            max=DAYS_MAX,
+        ),
+    ] = 20,
+    seed: Annotated[int, option("S", "Seed that determines the faults of all days.", min=0)] = 1,
     first: Annotated[
         int,
         option(
@@ -128,7 +136,7 @@ def rehearse(
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
     except KeyboardInterrupt:
         interrupted = True
-        ui.tell(f"interrupted; to continue, give the same command with --out {folder}")
+        ui.tell(f"interrupted; to continue, run the same command again with --out {folder}")
     played = [rows[day] for day in wanted if day in rows]
     bad = [row for row in played if row["violations"]]
     played_days = f"{len(played)} {plural('day', len(played))}"

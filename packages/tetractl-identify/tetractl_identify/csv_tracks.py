@@ -614,7 +614,7 @@ def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> 
         if not name:
             hint = "if the file holds several robots, name them in a column named robot"
         raise UsageError(
-            f"{path}: {printable(name or ONE_ROBOT)} has two different places at the time "
+            f"{path}: {printable(name or ONE_ROBOT)} has two different places at "
             f"{conflict['time']:.15g} s",
             hint,
         )
@@ -660,8 +660,11 @@ def _collect_frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Flo
     _, robots = np.unique(rows["robot"], return_inverse=True)
     time, frames = np.unique(rows["time"], return_inverse=True)
     if len(time) * count > POSES_MAX:
-        amount = f"{count} robots at {len(time)} times"
-        raise UsageError(f"{path}: has {amount}; at most {POSES_MAX} poses are read of a trial")
+        amount = f"poses of {count} robots at {len(time)} times"
+        raise UsageError(
+            f"{path}: the file has {amount} in one trial, but at most "
+            f"{POSES_MAX} poses can be read from a trial"
+        )
     poses = np.full((len(time), count, 3), np.nan)
     poses[frames, robots] = rows["pose"]
     return time, poses

@@ -36,7 +36,10 @@ def identify(
     ] = None,
     wheels: Annotated[
         bool,
-        switch("With logs: fit how robots follow wheel speeds instead of directions."),
+        switch(
+            "Fit how the robots follow the speeds of their wheels, instead of how "
+            "they follow directions. Works only with logs."
+        ),
     ] = False,
     as_json: AsJson = False,
 ) -> int:

@@ -164,7 +164,7 @@ def test_the_limit_of_time_truncates():
 
 def test_a_trial_that_is_no_number_is_refused():
     with pytest.raises(
-        UsageError, match="a trial must be a whole number of at least 0, but this is first"
+        UsageError, match="a trial must be a whole number of at least 0, but it is first"
     ):
         TrialEnv(SPEC).reset(seed=1, options={"trial": "first"})
 

@@ -240,7 +240,7 @@ def other_readings(
         who: Who turns by them, for the message.
     """
     degrees = replace(sent, angles=np.radians(sent.angles))
-    said = f"{source}: the motion of {who} fits the directions only if these are degrees"
+    said = f"{source}: the motion of {who} fits the directions only if they are in degrees"
     readings = [
         DirectionReading(degrees, DELAYS_S, towards, said, "rename the column to direction_deg"),
         DirectionReading(
@@ -260,8 +260,8 @@ def other_readings(
     ):
         in_unit = replace(sent, times=seconds * sent.times)
         said = (
-            f"{source}: the motion of {who} fits the times of the directions only if these "
-            f"are {unit}"
+            f"{source}: the motion of {who} fits the times of the directions only if "
+            f"the times are {unit}"
         )
         readings.append(DirectionReading(in_unit, DELAYS_S, towards, said, hint))
     return readings

@@ -60,16 +60,21 @@ def survey(
 ) -> int:
     """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
-    The field rotates for the time `robots.seconds` of the spec. The command prints whether cells
-    turn towards the field or towards its mirror image; then the picture is mirrored, or a coil pair
-    reversed. Every cell in view is listed with 95 % intervals; choices of cells that follow the
-    field and are distinguishable are ranked by the predicted error, with the
-    noise of the spec's simulation. -o writes a spec with which a trial finds the best cells again,
-    by their turning rates a and speeds.
+    The field rotates for the time `robots.seconds` of the spec. The command then lists every cell
+    in view, with the 95 % intervals of its turning rate and speed. It prints whether the cells turn
+    towards the field, or towards its mirror image. In the second case, the image is mirrored, or a
+    coil pair is reversed.
 
-    With --micrometer no device is opened: scale and rotation follow from two marks of a stage
-    micrometer, or one speck before and after the stage was moved. Enter the file's name in the spec
-    as `lab.calibration`.
+    Below, it lists choices of cells to steer, ranked by the error that is predicted with the noise
+    of the spec's simulation. They contain only cells that follow the field and can be
+    distinguished.
+
+    With -o, the command writes a spec. A trial of this spec finds the best cells again, by their
+    turning rates a and speeds.
+
+    With --micrometer, the command opens no device. It computes the scale and rotation of the image
+    from two marks of a stage micrometer, or from one speck before and after the stage was moved.
+    Enter the name of the file that it writes in the spec as `lab.calibration`.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
@@ -200,8 +205,9 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
         a = b = c = d = um = math.nan
     if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
         raise UsageError(
-            f"--micrometer {text}: give five numbers, the two places [px] and their distance "
-            "[um], such as 112,540,901,548,2000"
+            f"--micrometer {text}: give five numbers in the form C,R,C,R,UM:"
+            " column and row of two places in the image [px], and their distance [um]; for "
+            "example, 112,540,901,548,2000"
         )
     return (a, b), (c, d), um
 

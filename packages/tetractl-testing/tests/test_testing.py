@@ -237,7 +237,7 @@ class Faulty(SequenceSection):
         ("random", "random numbers: come only from the key"),
         ("random", "key: the same key gives the same decisions"),
         ("random number", "key: the same key gives the same decisions"),
-        ("clock", "clock: only timer"),
+        ("clock", "clock: reads only `timer`"),
         ("nan", "plan: returns a Plan, an Outcome or an End that can be sent and logged"),
     ],
 )
@@ -279,7 +279,7 @@ class IllOne(Disturbance):
     ("fault", "what"),
     [
         ("at once", "moved: finite, and unchanged if no time passes"),
-        ("in place", "moved: arguments unchanged"),
+        ("in place", "moved: does not change its arguments"),
         ("random", "varied: the same seed gives the same results"),
         ("negative", "varied: finite, at least 0, shape (N,)"),
         ("lost", "received: not before the exposure, and None only if loses_frames is set"),
@@ -334,7 +334,7 @@ def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
     of_actuator = findings_of(partial(check_actuator, FakeActuatorSection(type="fake"), SETUP))
     assert of_actuator[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
     problems = wrong(check_actuator, FakeActuatorSection(type="fake"), SETUP)
-    assert problems[1:] == ["period_ns: above 0", "halts: true or false"]
+    assert problems[1:] == ["period_ns: above 0", "halts: is true or false"]
 
 
 class PortSection(ActuatorSection):
@@ -405,7 +405,7 @@ def test_a_command_that_was_not_sent_when_it_says_is_found(later_s):
             shifted = SimpleNamespace(now=lambda: clock.now() + later)
             return PortActuator(self, setup, shifted)
 
-    assert "steer: sent now" in wrong(check_actuator, LateSection(), SETUP)
+    assert "steer: is sent at once" in wrong(check_actuator, LateSection(), SETUP)
 
 
 def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):

@@ -230,7 +230,7 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     true("wrap: receives the optimiser", run.wraps or not searches)
     same("key: the same key gives the same decisions", run.numbers, again.numbers)
     expect("random numbers: come only from the key", " and ".join(used))
-    expect("clock: only timer", ", ".join(sorted(clock_calls)))
+    expect("clock: reads only `timer`", ", ".join(sorted(clock_calls)))
 
 
 def _check_plans(

@@ -133,7 +133,7 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
             return
         _check_frames(frames, now_ns, len(setup.names))
         enough = woken >= len(frames) - 1
-        true("wake: after each frame", enough, f"{woken} of {len(frames)}")
+        true("wake: is called after each frame", enough, f"{woken} of {len(frames)}")
         _check_health(camera, healthy=scene is not None)
         if scene is not None:
             _check_scene(camera, setup, scene, frames)
@@ -167,9 +167,9 @@ def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> No
     true("frames: numbers rise", rise, str(numbers))
     true("frames: times rise", times == sorted(times), str(times))
     in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
-    true("frames: received after their exposure", in_order)
+    true("frames: are received after their exposure", in_order)
     poses = [len(frame.poses) for frame in frames]
-    true("frames: one pose per robot", np.equal(poses, robots), f"{poses}")
+    true("frames: have one pose per robot", np.equal(poses, robots), f"{poses}")
 
 
 def _check_scene(
@@ -180,11 +180,11 @@ def _check_scene(
     No frame may have a fault or an unknown object. The robot that is hidden is the first one.
     """
     healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
-    true("frames: without faults and unknown objects", healthy)
+    true("frames: have no faults and no unknown objects", healthy)
     true("damaged: 0", camera.damaged == 0, str(camera.damaged))
     poses = [pose for pose in frames[-1].poses if pose is not None]
     true_poses = scene.poses()
-    true("poses: of every robot", len(poses) == len(setup.names))
+    true("poses: show every robot", len(poses) == len(setup.names))
     if len(poses) < len(setup.names):
         return
     _check_poses(poses, true_poses, setup.metres)
@@ -197,7 +197,10 @@ def _check_scene(
             last = frame
         return last.poses[0] is None
 
-    true("poses: None for a robot that is out of sight", wait_for(scene.clock, hidden, EMULATED_S))
+    true(
+        "poses: are None for a robot that is out of sight",
+        wait_for(scene.clock, hidden, EMULATED_S),
+    )
     others_go_on = [pose is not None for pose in last.poses[1:]]
     true("poses: the other robots are still tracked", others_go_on)
 
@@ -208,13 +211,13 @@ def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> No
     differences = measured - true_poses
     gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
     turned = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
-    near("poses: in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)
-    near("poses: headings of the robots", turned, 0.0, 1.0, HEADING)
+    near("poses: are in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)
+    near("poses: have the headings of the robots", turned, 0.0, 1.0, HEADING)
     heights_m = [pose.height * metres for pose in poses if pose.height is not None]
-    what = "poses: height of the body on the floor"
+    what = "poses: have the height of the body on the floor"
     near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
     upright = [pose.tilt is None or 0.0 <= pose.tilt < TILT_MAX for pose in poses]
-    true("poses: tilt of a robot on the floor", upright)
+    true("poses: have the tilt of a robot on the floor", upright)
 
 
 def check_actuator(
@@ -246,8 +249,8 @@ def check_actuator(
     period_ns = actuator.period_ns
     halts = actuator.halts
     expect("period_ns: above 0", "" if period_ns > 0 else f"{period_ns}")
-    expect("halts: true or false", "" if isinstance(halts, bool) else repr(halts))
-    expect("failure: None before the device is opened", actuator.failure or "")
+    expect("halts: is true or false", "" if isinstance(halts, bool) else repr(halts))
+    expect("failure: is None before the device is opened", actuator.failure or "")
     if robots is None:
         _check_sending(section, setup)
         return
@@ -256,9 +259,9 @@ def check_actuator(
         statuses = actuator.poll(1.0)
         problems = any(status.problems for status in statuses)
         all_well = len(statuses) == len(setup.names) and not problems
-        true("poll: a status of each robot, without problems", all_well)
+        true("poll: returns a status of each robot, without problems", all_well)
         _check_health(actuator, healthy=True)
-        true("poll, check: nothing moves", not any(robots.moves()))
+        true("poll, check: move no robot", not any(robots.moves()))
         _SteeringChecks(actuator, section, setup, robots).check()
     _check_leaving(actuator, build())
 
@@ -378,7 +381,7 @@ class _SteeringChecks:
         self.check_sent()
         self._steer(DIRECTION, self.all)
         moved = self._wait(lambda: all(self.robots.moves()))
-        true("steer: robots move", moved)
+        true("steer: moves the robots", moved)
         self._check_stop("stop", actuator.stop())
         self._check_turn()
         if not self.together:
@@ -398,17 +401,20 @@ class _SteeringChecks:
         speed = self.setup.speed
         for direction in (0.0, 1.5, -2.5, DIRECTION):
             sent = self._steer(direction, self.all)
-            self._check_turning("steer: robots turn towards the direction", sent, direction)
+            self._check_turning("steer: turns the robots towards the direction", sent, direction)
         # of the last one
         as_asked = sent.action == Steer(DIRECTION) and sent.delivered == self.all
         true("steer: action, robots", as_asked)
         age_ns = self.robots.clock.now() - sent.sent_ns
-        true("steer: sent now", 0 <= age_ns <= SECOND)
-        near("steer: speeds of the spec", sent.speed, speed, speed, SPEED)
+        true("steer: is sent at once", 0 <= age_ns <= SECOND)
+        near("steer: states the speeds of the spec", sent.speed, speed, speed, SPEED)
         wheels = [wheel for wheel in (sent.left, sent.right) if wheel is not None]
         of_each = all(wheel.shape == speed.shape for wheel in wheels)
         numbers = all(isinstance(value, float) for value in sent.outputs.values())
-        true("steer: wheels (N,) or None; outputs are numbers", of_each and numbers)
+        true(
+            "steer: states wheels of shape (N,) or None, and outputs that are numbers",
+            of_each and numbers,
+        )
         sent = self._steer(DIRECTION, (self.together, *self.all[1:]), first_tracked=False)
         finite = np.isfinite([sent.speed, sent.turning]).all()
         true("steer: works while a robot is not tracked", finite)
@@ -504,7 +510,7 @@ def _check_health(device: Device, healthy: bool) -> None:
     """
     reports: list[Health] = [device.check(), device.check()]
     facts = [fact for health in reports for fact in health.facts.values()]
-    true("check: facts are strings", all(isinstance(fact, str) for fact in facts))
+    true("check: returns facts that are strings", all(isinstance(fact, str) for fact in facts))
     if healthy:
         problems = [problem for health in reports for problem in health.problems]
         expect("check: no problems", "; ".join(problems))
@@ -531,4 +537,4 @@ def _members(what: str, device: Device, protocol: type) -> None:
     public = {name for name in members if not name.startswith("_")}
     needed = public | {"__enter__", "__exit__"}
     lacking = ", ".join(sorted(name for name in needed if not hasattr(device, name)))
-    expect(f"{what}: all members", f"lacks {lacking}" if lacking else "")
+    expect(f"{what}: has all members", f"lacks {lacking}" if lacking else "")

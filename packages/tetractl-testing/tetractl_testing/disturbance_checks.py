@@ -58,7 +58,7 @@ def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
         fits, unchanged, numbers = zip(*of_method, strict=True)
         *_, numbers_again = zip(*calls_again[method], strict=True)
         true(f"{method}: {FITS[method]}", fits)
-        true(f"{method}: arguments unchanged", unchanged, "changed")
+        true(f"{method}: does not change its arguments", unchanged, "changed")
         same(f"{method}: the same seed gives the same results", numbers, numbers_again)
     expect("random numbers: come only from rng", " and ".join(used))
 

@@ -33,7 +33,7 @@ def test_after_lab_stop_robots_must_be_switched_on_before_a_run_continues(
     """Regression: the last line was about --resume alone, though every robot was latched."""
     assert end_interrupted("logs", Report(), number, in_lab) == Exit.INTERRUPTED
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.endswith("to continue, give the same command with --out logs --resume")
+    assert last.endswith("to continue, run the same command again with --out logs --resume")
     assert ("switch each off and on" in last) == stopped
 
 

@@ -62,7 +62,7 @@ def test_missing_trials_fail_the_study_and_say_how_to_go_on(conclude):
     code, files, lines = conclude(4)
     assert code == Exit.FAILED
     assert files == ["table.csv", "figure.svg"]
-    assert lines == ["2 of 6 trials are missing; to continue, give the same command again"]
+    assert lines == ["2 of 6 trials are missing; to continue, run the same command again"]
 
 
 def test_aborted_trials_fail_the_study(conclude):

@@ -22,7 +22,7 @@ def test_anything_else_is_refused(value):
 def test_an_argument_has_the_right_type_or_is_named_with_its_own():
     demand(3, int, "give a number")
     demand("x", int | str, "give a number")
-    with pytest.raises(UsageError, match=r"^give a number, but this is of type str$"):
+    with pytest.raises(UsageError, match=r"^give a number, but the value given is of type str$"):
         demand("x", int, "give a number")
 
 
@@ -65,7 +65,7 @@ def test_an_error_shows_the_line_of_the_user_that_called(tmp_path):
     with pytest.raises(UsageError) as caught:
         users_line()
     shown = caught.value._render_traceback_()
-    assert shown[0] == "UsageError: give a number, but this is of type str"
+    assert shown[0] == "UsageError: give a number, but the value given is of type str"
     assert shown[1].endswith('demand("x", int, "give a number")')
     assert "print_last" in shown[-1]
     assert len(shown) == 3

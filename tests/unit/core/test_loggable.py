@@ -85,14 +85,14 @@ REFUSED = {
     "a search of a huge length": (with_search(length=10**30), "more than 20 digits"),
     "no history": (with_search(history=np.zeros(0)), "a search has no history"),
     "history in rows": (with_search(history=np.zeros((2, 2))), "a search has no history"),
-    "a reason that is no text": (with_search(stopped=5), "must be a text, but it is int"),
+    "a reason that is no text": (with_search(stopped=5), "must be a string, but it is of type int"),
     "too many numbers": (
         replace(PLAN, numbers={f"n{i}": 1.0 for i in range(NUMBERS_MAX + 1)}),
         "has 101 numbers",
     ),
-    "a name of two words": (replace(PLAN, numbers={"a b": 1.0}), "a number is called 'a b'"),
-    "an empty name": (replace(PLAN, numbers={"": 1.0}), "a number is called ''"),
-    "a name too long": (replace(PLAN, numbers={"n" * 61: 1.0}), "a number is called 'nnn"),
+    "a name of two words": (replace(PLAN, numbers={"a b": 1.0}), "the entry 'a b'"),
+    "an empty name": (replace(PLAN, numbers={"": 1.0}), "the entry ''"),
+    "a name too long": (replace(PLAN, numbers={"n" * 61: 1.0}), "the entry 'nnn"),
     "a position": (replace(PLAN, path=path_with(1, NAN)), "a predicted position is nan"),
     "a position too large": (
         replace(PLAN, path=path_with(0, 1e300)),

@@ -332,7 +332,10 @@ def test_a_failure_that_is_no_text_stops_the_robots(lab):
     """Regression: no log could hold the reason, and the log stayed a .part."""
     lab.actuator.failure = 5
     lab.plant.rig.loop.step()
-    assert "an actuator returned a failure that is no text" in lab.plant.rig.loop.guard.reason
+    assert (
+        "an actuator returned a `failure` that is neither a string nor None"
+        in lab.plant.rig.loop.guard.reason
+    )
 
 
 def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step(blind):

@@ -265,7 +265,8 @@ def test_what_an_optimiser_of_another_package_gives_is_refused():
     optimizer = Silent(particles=2, iterations=1)
     section = experiment().controller.model_copy(update={"optimizer": optimizer})
     with pytest.raises(
-        WrongValueError, match="the field stopped of a search must be a text, but it is NoneType"
+        WrongValueError,
+        match="the field `stopped` of a search must be a string, but it is of type NoneType",
     ):
         CheckedController(section, SETUP, 1).plan(SEEN)
 

@@ -141,7 +141,9 @@ def test_an_ended_trial_is_neither_stepped_nor_stopped(tmp_path):
         trial.step(0.0)
     with pytest.raises(UsageError, match="the trial has already ended"):
         trial.stop()
-    with pytest.raises(UsageError, match="a folder is a path, but this is of type int"):
+    with pytest.raises(
+        UsageError, match="the folder must be a path, but the value given is of type int"
+    ):
         trial.save(3)
     trial.save(tmp_path)
     with pytest.raises(UsageError, match="exists already"):

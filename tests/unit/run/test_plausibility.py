@@ -57,11 +57,11 @@ robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
 robots <- robots.blue.a=6
   any plan is 575.6 mm | no controller
 robots.0.target <- controller.time_limit=4.2; controller.horizon_max=20
-  854.4 mm away, but in the 4.2 s of a trial the robot drives only 756 mm, 98.4 too few | time_limit
+  854.4 mm away, .* drives only 756 mm in the 4.2 s of a trial, 98.4 too little | time_limit
 controller.horizon_max <- controller.horizon_max=20
-  red is 894.4 mm from .* in 20 signals \(4 s\) it drives only 600 mm, 294.4 too few | more than 30
+  red is 894.4 mm from .* drives only 600 mm in 20 signals \(4 s\), 294.4 too little | more than 30
 controller.horizon_max <- PSO
-  red is 894.4 mm from .* in 20 signals \(4 s\) it drives only 600 mm, 294.4 too few | more than 30
+  red is 894.4 mm from .* drives only 600 mm in 20 signals \(4 s\), 294.4 too little | more than 30
 controller.horizon_max <- controller.horizon_max=102; controller.time_limit=20.2
   plans of 20.4 s are longer than the trial, .* 20.2 s | horizon_max to 101
 controller.horizon_max <- PSO; controller.steps_max=10
@@ -83,7 +83,7 @@ controller.period <- controller.period=0.4; controller.motion=euler; ON
 controller.period <- controller.period=0.6; ON
   a T = 3.6 for green, .* 2 robots turn by 90.9 % | less than 0.333 s
 controller.period <- LAB; controller.signal_periods=14
-  a T = 4.2 for green, which holds signals for T = 0.7 s, .* 3 robots turn by 87.8 % | 0.333 s
+  for green: its turning rate a times T is 4.2, .* 3 robots turn by 87.8 % | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false
   is 0.3 s, but the controller assumes 0 s, .* 1.5 control periods | controller.dead_time to 0.3
 robots.1.start <- LAB; robots.blue.start=[900, 895]

@@ -91,7 +91,7 @@ def keep(folder, number):
 
 def test_records_of_another_spec_are_refused(tmp_path):
     keep(tmp_path, 3)
-    with pytest.raises(UsageError, match="has another spec, seed or settings"):
+    with pytest.raises(UsageError, match="another spec, other settings or another seed"):
         records(tmp_path, "spec 2")
 
 

@@ -148,7 +148,9 @@ def test_a_wrong_value_is_reported_at_its_place_in_the_calibration(text, says):
 
 def test_values_that_contradict_each_other_are_refused_with_the_calibration():
     text = "actuator: {robots: [{name: red, index: 0}]}\n"
-    with pytest.raises(SpecError, match=r"m\.yaml: with this calibration, plant\.actuator\.rob"):
+    with pytest.raises(
+        SpecError, match=r"m\.yaml: if this calibration is applied, the field plant\.actuator\.rob"
+    ):
         measured(text)
 
 

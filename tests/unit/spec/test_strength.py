@@ -105,4 +105,4 @@ def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
     document = parse_document(SPEC, "x.yaml")
     merge(document, identified(None), "found.yaml", estimates=True)
     (problem,) = document.problems
-    assert "the logs that gave this value state no strength" in str(problem)
+    assert "the logs from which this value comes do not state a strength" in str(problem)

@@ -103,7 +103,7 @@ def test_the_summary_says_which_trials_are_marked_and_why():
     (line,) = re.findall("less certain: .*", text)
     assert line.startswith("less certain: 3 of 20 trials, by wheels that changed or false poses: ")
     assert re.search(r"green in trial-003, \+0\.\d\d rad/s; blue in trial-009, -0\.1", line)
-    assert "trial-007: red turned by +0.20 rad/s differently than in the other trials" in text
+    assert "trial-007: red turned by +0.20 rad/s from its other trials" in text
 
 
 @pytest.mark.parametrize("n", [6, 10, 20])
@@ -118,7 +118,7 @@ def test_honest_batches_are_hardly_ever_marked(n, spread):
 def test_a_batch_without_marks_says_in_full_which_turns_would_be_seen():
     described = group(emulated_trials(20))
     text = texts_by_label(described)["less certain"]
-    assert text == "0 of 20 trials, turns above 0.05 rad/s would be seen"
+    assert text == "0 of 20 trials, turns above 0.05 rad/s would be noticed"
     assert batch_items(described)["less_certain"] == 0
     assert "less certain" not in printed_summary(described)
 

@@ -93,7 +93,7 @@ def test_the_format_of_a_file_is_its_ending(tmp_path, name):
     ("name", "message"),
     [
         ("a.jpg", "cannot write '.jpg' pictures"),
-        ("png", "needs an ending that tells the format"),
+        ("png", "must state the format"),
         ("none/a.png", "the folder .*none does not exist"),
         ("folder.png", "this is a folder, but a file is needed"),
     ],

@@ -223,7 +223,8 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     if not 0 <= message.chosen < len(message.searches):
         count = len(message.searches)
         raise ValueError(
-            f"step {message.k} refers to search {message.chosen}, but it contains {count} searches"
+            f"step {message.k} refers to its search {message.chosen}, but the step has"
+            f" only {count} searches"
         )
     command = decode_command(message.command)
     x = _floats(message.path_x)

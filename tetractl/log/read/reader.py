@@ -232,7 +232,9 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         experiment, spec_hash = _parse_spec(resolved)
         robots = len(experiment.robots)
         if len(run.robots) != robots:
-            raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
+            raise ValueError(
+                f"the record of the run has {len(run.robots)} robots, but its spec has {robots}"
+            )
         if not np.isfinite(run.camera_rate_hz):
             raise ValueError(f"camera_rate_hz is {run.camera_rate_hz!r}")
     except (SpecError, RecursionError, ValueError) as error:

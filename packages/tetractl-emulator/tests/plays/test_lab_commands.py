@@ -236,7 +236,10 @@ def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
     assert done.returncode == 1
     says = "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run"
     assert says in done.stdout
-    assert "the questions were not answered: without a terminal, add --yes" in done.stderr
+    assert (
+        "there is no terminal in which to answer the questions; "
+        "to answer yes to all of them, add --yes" in done.stderr
+    )
     done = tetractl(tmp_path, *command, "--yes").ok()
     assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
 

@@ -141,7 +141,7 @@ def test_a_rehearsal_that_is_interrupted_says_how_to_go_on_and_counts_what_is_do
     days.interrupted_on = 2
     done = rehearse(tmp_path, "--days", "5", "--out", "days")
     assert done.returncode == 130
-    assert "interrupted; to continue, give the same command with --out days" in done.stderr
+    assert "interrupted; to continue, run the same command again with --out days" in done.stderr
     assert done.stdout.endswith("2 days, 0 violations\n")
     days.violations = {2: [OUTSIDE]}
     days.interrupted_on = 3

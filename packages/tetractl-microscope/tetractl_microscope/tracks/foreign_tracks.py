@@ -299,7 +299,8 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
     if is_fraction.any():
         first = frames[is_fraction][0]
         said = (
-            f"{path}: column {printable(column)}: {first:g} is no whole number, and no frame number"
+            f"{path}: column {printable(column)}: {first:g} is not a whole number, so "
+            "it is not a frame number"
         )
         raise UsageError(
             said, f"if these are times in seconds, name the column {printable(column)}_s"
@@ -365,7 +366,7 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
     if is_twice.any():
         when = times[:-1][is_twice][0]
         raise UsageError(
-            f"{path}: cell {number:.0f} has two different places at the time {when:.15g} s",
+            f"{path}: cell {number:.0f} has two different places at {when:.15g} s",
             "do several tracks have the same number, or are the times rounded?",
         )
 

@@ -105,7 +105,11 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
         )
     going_on = [track_goes_on(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
     if hardly_any_goes_on(going_on):
-        raise TetractlError(f"{source}: {TO_AND_FRO}", "give tracks of cells that swim")
+        raise TetractlError(
+            f"{source}: {TO_AND_FRO}",
+            "give tracks of swimming cells: a swimming cell moves "
+            "on, and does not return to its place within seconds",
+        )
     to_and_fro = [
         f"{track.number:.0f}"
         for track, goes_on in zip(long_tracks, going_on, strict=True)
@@ -218,7 +222,8 @@ def track_record(
     if turning:
         names = _cells(turning)
         notes.append(
-            f"without speed and a, because they turn by themselves, unlike a helix: {names}"
+            "cells without a speed and an a, because they turn by themselves in a way"
+            f" that no helix explains: {names}"
         )
     return plain(
         {

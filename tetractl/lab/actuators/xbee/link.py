@@ -147,8 +147,8 @@ class Link:
             )
         if int.from_bytes(mode) != ESCAPED_FRAMES:
             raise AbortError(
-                f"{radio.port}: the module is not in API mode with escapes",
-                "set the module's AP to 2 with the program XCTU",
+                f"{radio.port}: the XBee module is not in API mode with escapes (AP=2)",
+                "set the module's parameter AP to 2, with Digi's program XCTU",
             )
         if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1:
             raise AbortError(

@@ -82,7 +82,7 @@ def test_a_good_module_is_opened_and_sends():
         ({b"HV": b"\x19\x44", b"VR": b"\x21\xa7"}, {}, "the module runs Zigbee firmware"),
         ({b"HV": b"\x22\x44", b"VR": b"\x40\x60"}, {}, "the module runs Zigbee firmware"),
         ({b"BD": b"\x03"}, {}, "the module is set to 9600 baud, but the spec says 57600"),
-        ({b"AP": b"\x01"}, {}, "the module is not in API mode with escapes"),
+        ({b"AP": b"\x01"}, {}, "the XBee module is not in API mode with escapes"),
         ({b"BD": b"\x07"}, {"baud": 115200}, "loses API frames at 115200"),
     ],
 )

@@ -66,23 +66,23 @@ def field_at_times(tmp_path, times):
     [
         (
             lambda t: 30 * t,
-            "fits the times of the directions only if these are numbers of pictures",
+            "fits the times of the directions only if the times are numbers of pictures",
         ),
         (
             lambda t: 1000 * t,
-            "fits the times of the directions only if these are milliseconds",
+            "fits the times of the directions only if the times are milliseconds",
         ),
         (
             lambda t: 1e6 * t,
-            "fits the times of the directions only if these are microseconds",
+            "fits the times of the directions only if the times are microseconds",
         ),
         (
             lambda t: 1e9 * t,
-            "fits the times of the directions only if these are nanoseconds",
+            "fits the times of the directions only if the times are nanoseconds",
         ),
         (
             lambda t: t / 60,
-            "fits the times of the directions only if these are minutes",
+            "fits the times of the directions only if the times are minutes",
         ),
         (lambda t: t + 1.2, "cells turn 1.2 s before the directions"),
         (lambda t: t - 1.5, "cells turn 1.5 s after the directions"),

@@ -139,7 +139,7 @@ def test_a_cell_cannot_be_at_two_places_at_once(tmp_path, second, refused):
     if not refused:
         assert len(read(tmp_path, text, 1.0, 2.0)[0].rows) == 2
         return
-    with pytest.raises(UsageError, match="cell 1 has two different places at the time 1 s"):
+    with pytest.raises(UsageError, match="cell 1 has two different places at 1 s"):
         read(tmp_path, text, 1.0, 2.0)
 
 

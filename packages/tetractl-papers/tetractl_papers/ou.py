@@ -77,26 +77,26 @@ PUBLISHED_DEVIATION = "225.1 mm (171.2 to 328.8, n 20)"
 """With their 95 % intervals, of normal values: Student's t, and chi-square."""
 
 AS_PRINTED = (
-    "as printed, (20) is met at its first test, iteration 11: an iteration without improvement "
-    "adds log 0"
+    "criterion (20) as printed is met at its first test, in iteration 11, because an iteration "
+    "without improvement adds log 0"
 )
-SMALLER = "ours is smaller: the paper's delays and errors are unknown"
-SAMPLES = "(13) tests the predicted samples, not the way between them"
-NO_EDGE = "the cost (7) has no term for its edge"
+SMALLER = "we do not know the delays and errors of the paper's lab"
+SAMPLES = "equation (13) tests the predicted positions, not the path between them"
+NO_EDGE = "the cost (7) has no term for the edge of the field of view"
 THAN_EARLIER = "PSO-MPC minus Feedback Ensemble Control"
 
 SIMULATED = [
     Claim(
-        figure="Fig. 1: robots reach their targets: total error",
-        published=f"drawn; read as {ONE_PERIOD_MM:.0f} mm or less",
+        figure="Fig. 1: the robots reach their targets; total error at the end",
+        published=f"only drawn; we read it as {ONE_PERIOD_MM:.0f} mm or less",
         arm="figure-1",
         measure=measures.total_error,
         unit="mm",
         asked=at_most(ONE_PERIOD_MM),
     ),
     Claim(
-        figure="Fig. 1: the disc is entered",
-        published="not, in one run",
+        figure="Fig. 1: trials in which a robot enters the disc",
+        published="in none; one run",
         arm="figure-1",
         measure=measures.entered,
         asked=rarely(),
@@ -111,56 +111,61 @@ SIMULATED = [
         why=AS_PRINTED,
     ),
     Claim(
-        figure="Fig. 3: the same, 1,000 particles",
+        figure="Fig. 3: iteration in which criterion (20) is met, 1,000 particles",
         published="20",
         arm="swarm-1000",
         measure=measures.iterations,
         asked=same_number(20),
         expected=Fate.MISSED,
-        why="the same",
+        why=AS_PRINTED,
     ),
     Claim(
-        figure="Fig. 3: the same, 10,000 particles",
+        figure="Fig. 3: iteration in which criterion (20) is met, 10,000 particles",
         published="20",
         arm="swarm-10000",
         measure=measures.iterations,
         asked=same_number(20),
         expected=Fate.MISSED,
-        why="the same",
+        why=AS_PRINTED,
     ),
     Claim(
-        figure="Fig. 3: J falls exponentially: R^2 of a line through log J, minus that through J",
-        published="no number; above 0",
+        figure="Fig. 3: J falls exponentially; R^2 of a line through log J, minus R^2 of a line "
+        "through J",
+        published="no number is given; above 0",
         arm="first-search",
         measure=measures.exponential,
         asked=at_least(0),
     ),
     Claim(
-        figure="Fig. 3: J falls quickly at first: share of the fall in 10 of 100 iterations",
-        published="no number; above 0.1",
+        figure="Fig. 3: J falls quickly at first; fraction of its fall in the first 10 of 100 "
+        "iterations",
+        published="no number is given; above 0.1",
         arm="first-search",
         measure=measures.early_share,
         asked=at_least(0.1),
     ),
     Claim(
-        figure="II to IV: J found is close to the least, which is 0 or more: J of step 0",
-        published=f"no number; read as {ONE_PERIOD_MM:.0f} mm or less",
+        figure="Sections II to IV: the search finds nearly the smallest J, which is at least 0; "
+        "J of step 0",
+        published=f"no number is given; we read it as {ONE_PERIOD_MM:.0f} mm or less",
         arm="first-search",
         measure=measures.first_cost,
         unit="mm",
         asked=at_most(ONE_PERIOD_MM),
     ),
     Claim(
-        figure="III: without errors, the sequence of step 0 is enough: its total error, open loop",
-        published=f"no number; read as {ONE_PERIOD_MM:.0f} mm or less",
+        figure="Section III: without errors, the sequence of step 0 is enough; its total error "
+        "in open loop",
+        published=f"no number is given; we read it as {ONE_PERIOD_MM:.0f} mm or less",
         arm="open-undisturbed",
         measure=measures.total_error,
         unit="mm",
         asked=at_most(ONE_PERIOD_MM),
     ),
     Claim(
-        figure="III: with errors, it is not: total error on the bench, closed minus open loop",
-        published="less, no number",
+        figure="Section III: with errors, it is not enough; total error on the bench, closed "
+        "loop minus open loop",
+        published="less; no number is given",
         arm="bench",
         minus="open-bench",
         measure=measures.total_error,
@@ -168,19 +173,21 @@ SIMULATED = [
         asked=at_most(0),
     ),
     Claim(
-        figure="IV-B: a warm start is a good guess: J of a step amid the trial, bench, minus that "
-        "of 51 lengths searched from nothing",
-        published="no number; 0 or less",
+        figure="Section IV-B: a warm start is a good guess; J of a step in the middle of a trial "
+        "on the bench, minus J of 51 lengths searched without a warm start",
+        published="no number is given; 0 or less",
         arm="bench",
         measure=measures.warm_gain,
         unit="mm",
         asked=at_most(0),
         expected=Fate.MISSED,
-        why="three searches from a warm start need 6 % of the evaluations, and find a higher J",
+        why="three searches from a warm start need only 6 % of the evaluations, but find a "
+        "higher J",
     ),
     Claim(
-        figure="IV-B: the square of the first search ends at the starts: distance of a robot",
-        published=f"no number; read as {ONE_PERIOD_MM / 3:.0f} mm or less",
+        figure="Section IV-B: the square of the first search ends at the starts; distance of a "
+        "robot from its start",
+        published=f"no number is given; we read it as {ONE_PERIOD_MM / 3:.0f} mm or less",
         arm="square",
         measure=measures.off_start,
         unit="mm",
@@ -191,7 +198,7 @@ SIMULATED = [
 
 EXPERIMENT = [
     Claim(
-        figure="20 trials: mean total error, bench",
+        figure="mean total error of the 20 trials, on the bench",
         published=PUBLISHED_MEAN,
         arm="bench",
         measure=measures.total_error,
@@ -201,7 +208,7 @@ EXPERIMENT = [
         why=SMALLER,
     ),
     Claim(
-        figure="20 trials: standard deviation of the total error, bench",
+        figure="standard deviation of the total error of the 20 trials, on the bench",
         published=PUBLISHED_DEVIATION,
         arm="bench",
         measure=measures.total_error,
@@ -211,8 +218,8 @@ EXPERIMENT = [
         why=SMALLER,
     ),
     Claim(
-        figure="Fig. 5: the square is entered, bench",
-        published="not, in one run",
+        figure="Fig. 5: trials in which a robot enters the square, on the bench",
+        published="in none; one run",
         arm="bench",
         measure=measures.entered,
         asked=not_judged(share_of),
@@ -220,7 +227,8 @@ EXPERIMENT = [
         why=SAMPLES,
     ),
     Claim(
-        figure="Fig. 5: the field of view of 1600 x 1800 mm is left, bench",
+        figure="Fig. 5: trials in which a robot leaves the field of view of 1600 x 1800 mm, on "
+        "the bench",
         published="not stated",
         arm="bench",
         measure=measures.left,
@@ -232,7 +240,7 @@ EXPERIMENT = [
 
 CELLS = [
     Claim(
-        figure="V: error of a cell, three simulated cells",
+        figure="Section V: error of a cell, with three simulated cells",
         published="about 400 um",
         arm="cells",
         measure=measures.error_of_a_robot,
@@ -244,8 +252,8 @@ CELLS = [
 
 EARLIER_METHOD = [
     Claim(
-        figure=f"I: total error, {THAN_EARLIER}",
-        published="less, no number",
+        figure=f"Section I: total error, {THAN_EARLIER}",
+        published="less; no number is given",
         arm="bench",
         minus="ensemble",
         measure=measures.total_error,
@@ -253,17 +261,18 @@ EARLIER_METHOD = [
         asked=at_most(0),
     ),
     Claim(
-        figure=f"I: space, over that of starts and targets, {THAN_EARLIER}",
-        published="less, no number",
+        figure=f"Section I: space, divided by the space of starts and targets, {THAN_EARLIER}",
+        published="less; no number is given",
         arm="bench",
         minus="ensemble",
         measure=measures.space,
         asked=at_most(0),
         expected=Fate.MISSED,
-        why="about the same space, or a little more, with three robots",
+        why="with three robots, both methods need about the same space, or PSO-MPC a little more",
     ),
     Claim(
-        figure='I: "we will not generate the rotating magnetic field": it rotates in a trial',
+        figure='Section I: "we will not generate the rotating magnetic field"; trials in which '
+        "it rotates",
         published="never",
         arm="bench",
         measure=measures.spinning,
@@ -272,8 +281,8 @@ EARLIER_METHOD = [
         why="nothing in the cost (7) keeps the direction from turning through a whole turn",
     ),
     Claim(
-        figure=f"I: time for which the field rotates, {THAN_EARLIER}",
-        published="less, no number",
+        figure=f"Section I: time for which the field rotates, {THAN_EARLIER}",
+        published="less; no number is given",
         arm="bench",
         minus="ensemble",
         measure=measures.spinning,

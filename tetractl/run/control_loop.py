@@ -88,7 +88,7 @@ from tetractl.tools.plugin_fault import PluginTrialError, naming_plugins
 
 AT_ONCE = "stopped at once by a second interruption"
 STEP_FINISHED = "interrupted; the step was finished"
-TURNING_TEXT = "all robots turn on the spot: they have no safe way ahead"
+TURNING_TEXT = "all robots turn on the spot: they have no safe path ahead"
 PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
 
 TimedDecision = tuple[Decision, int]

@@ -222,7 +222,7 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
             distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MM
             off_mm = abs(rate) * result.duration_s * distance_mm / 2
             turned = f"it turned by {rate:+.2f} rad/s on its own"
-            off = f"if its wheels are equal, the heading is up to {off_mm:.0f} mm off"
+            off = f"if its wheels are equal, its position is up to {off_mm:.0f} mm off"
             texts[trial.log].append(f"the heading of {robot} is not confirmed: {turned}; {off}")
     return texts
 

@@ -89,6 +89,6 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         assert text in step_line(recording, k)
     assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning on the spot"
     starts = [k for k in turns if k - 1 not in turns]
-    turning = "all robots turn on the spot: they have no safe way ahead"
+    turning = "all robots turn on the spot: they have no safe path ahead"
     assert [note.text for note in log.notes].count(turning) == len(starts)
     assert verify(log_path(tmp_path, 3)).problems == ()

@@ -454,7 +454,7 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
         and all(_is_whole(number) for number in numbers)
     )
     if not is_loggable:
-        return "a frame that no log can hold"
+        return "a frame that cannot be logged: a number is missing, not finite or too large"
     if frame.received_ns < frame.sampled_ns:
         return f"a frame received {frame.sampled_ns - frame.received_ns} ns before exposure"
     if any(exposed_ns > frame.sampled_ns for exposed_ns in frame.exposed_ns):
@@ -472,7 +472,9 @@ def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
         robots: Number of robots.
         now_ns: The present time [ns].
     """
-    unloggable = "a transmission that no log can hold"
+    unloggable = (
+        "a transmission that cannot be logged: a number is missing, not finite or too large"
+    )
     if not isinstance(sent, Transmission):
         return unloggable
     if not _is_whole(sent.sent_ns) or len(sent.delivered) != robots:

@@ -120,7 +120,10 @@ class SimCamera:
         for disturbance in self._measuring:
             poses, tracked = disturbance.measured(poses, tracked, exposed_ns / SECOND)
         if not (np.abs(poses.array()[tracked]) <= POSE_MAX).all():
-            raise WrongValueError("a disturbance", "a measured pose that no log can hold")
+            raise WrongValueError(
+                "a disturbance",
+                "a measured pose that cannot be logged: it is not finite or too large",
+            )
         if self._last_shown is not None and not tracked.all():
             shown_array = np.where(tracked[:, None], poses.array(), self._last_shown.array())
             poses = Poses.from_array(shown_array)

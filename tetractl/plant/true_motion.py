@@ -340,7 +340,10 @@ class TrueMotion:
         poses = step.poses
         of_all_robots = self.drive.poses.x.shape == poses.shape[2:]
         if not (of_all_robots and (np.abs(poses) <= POSE_MAX).all()):  # not so for NaN
-            raise WrongValueError("a motion or disturbance", "a pose that no log can hold")
+            raise WrongValueError(
+                "a motion or disturbance",
+                "a pose that cannot be logged: it is not finite or too large",
+            )
         self._unchecked.append(poses)
         if len(self._unchecked) > UNCHECKED_MAX:
             self._check_path()

@@ -160,13 +160,13 @@ def test_a_transmission_that_no_log_can_hold_stops_the_robots(lab, change):
     """Regression: exit 0, and a log that could not be read."""
     send = lab.actuator.send
     lab.actuator.send = lambda *a: None if change is None else replace(send(*a), **change)
-    text = "sent at .* ns, not between 0 and now" if change in UNTIMELY else "that no log can hold"
+    text = "sent at .* ns, not between 0 and now" if change in UNTIMELY else "that cannot be logged"
     with pytest.raises(AbortError, match=f"an actuator returned a transmission {text}"):
         lab.plant.send(Steer(0.6))
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 
-NO_FRAME = "frame that no log can hold"
+NO_FRAME = "frame that cannot be logged"
 SPOILT = {  # a frame of a number at a time, received at another, and what is said of it
     "nan": (CameraFrame(10**6, 0, 0, (Pose(math.nan, 0.0, 0.0), None, None)), NO_FRAME),
     "inf": (CameraFrame(10**6, 0, 0, (Pose(math.inf, 0.0, 0.0), None, None)), NO_FRAME),

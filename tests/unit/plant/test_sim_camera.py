@@ -164,5 +164,5 @@ def test_a_pose_of_a_lost_robot_may_be_anything_that_of_a_tracked_one_may_not():
 
     expose(camera(Far(POSE_MAX)), 0)
     for far in (math.nan, math.inf, -math.inf, 1.01 * POSE_MAX, -1.01 * POSE_MAX):
-        with pytest.raises(WrongValueError, match="no log can hold"):
+        with pytest.raises(WrongValueError, match="cannot be logged"):
             expose(camera(Far(far)), 0)

@@ -80,7 +80,7 @@ def starts_at(x):
 @pytest.mark.parametrize("disturbance", [Moves, Measures])
 def test_poses_that_no_log_can_hold_end_the_trial(disturbance, x):
     plant = disturbed(disturbance(starts_at(x)))
-    with pytest.raises(WrongValueError, match="pose that no log can hold"):
+    with pytest.raises(WrongValueError, match="pose that cannot be logged"):
         plant.open()
         drive_for_a_second(plant)
 

@@ -138,7 +138,7 @@ def test_of_another_spec_only_the_errors_are_told(monkeypatch, capsys):
     )
     _tell_errors(raw(), raw(path="b.mcap"))
     said = capsys.readouterr().err
-    assert said.startswith("total error 6.79 mm, in the log 12.35 mm; nothing else is compared")
+    assert said.startswith("the total error is 6.79 mm, and was 12.35 mm in the log; nothing")
 
 
 @pytest.fixture

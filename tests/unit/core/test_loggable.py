@@ -88,7 +88,7 @@ REFUSED = {
     "a reason that is no text": (with_search(stopped=5), "must be a string, but it is of type int"),
     "too many numbers": (
         replace(PLAN, numbers={f"n{i}": 1.0 for i in range(NUMBERS_MAX + 1)}),
-        "has 101 numbers",
+        "has 101 entries",
     ),
     "a name of two words": (replace(PLAN, numbers={"a b": 1.0}), "the entry 'a b'"),
     "an empty name": (replace(PLAN, numbers={"": 1.0}), "the entry ''"),

@@ -79,9 +79,9 @@ robots.1.target <- robots.blue.target=[2075, 1500]; controller.period=0.05; NEAR
 controller.accept_error <- controller.accept_error=4; controller.prior.position_noise=2
   is less than 0.7 x position_noise x robots, 4.2 mm | set it to 4.2 mm or more
 controller.period <- controller.period=0.4; controller.motion=euler; ON
-  a T = 2.4 for green, .* T = 0.4 s, is above 2: .* equation \(6\), its heading | less than 0.333 s
+  for green: .* is 2.4, above 2: .* equation \(6\), its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
-  a T = 3.6 for green, .* 2 robots turn by 90.9 % | less than 0.333 s
+  for green: .* is 3.6, .* 2 robots turn by 90.9 % | less than 0.333 s
 controller.period <- LAB; controller.signal_periods=14
   for green: its turning rate a times T is 4.2, .* 3 robots turn by 87.8 % | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false

@@ -137,7 +137,7 @@ def test_a_rate_per_strength_is_that_at_the_strength_of_the_logs():
 def test_a_rate_per_strength_needs_the_strength_of_the_logs():
     (problem,) = merged(WITH_ALPHA).all_problems
     assert problem.field == "robots.0.a"
-    assert "state no strength" in problem.message
+    assert "do not state a strength" in problem.message
 
 
 def test_a_spec_takes_the_values_of_the_file_that_it_names(tmp_path):

@@ -103,7 +103,9 @@ def test_the_summary_says_which_trials_are_marked_and_why():
     (line,) = re.findall("less certain: .*", text)
     assert line.startswith("less certain: 3 of 20 trials, by wheels that changed or false poses: ")
     assert re.search(r"green in trial-003, \+0\.\d\d rad/s; blue in trial-009, -0\.1", line)
-    assert "trial-007: red turned by +0.20 rad/s from its other trials" in text
+    assert (
+        "trial-007: red turned at a rate that differs by +0.20 rad/s from its other trials" in text
+    )
 
 
 @pytest.mark.parametrize("n", [6, 10, 20])
@@ -151,7 +153,7 @@ def test_one_that_was_stopped_for_another_reason_is_marked_too():
     trials[2] = replace(trials[2], result=replace(trials[2].result, **aborted))
     (flag,) = flagged(group(trials).batch)
     assert flag.notes[:2] == ("excluded", "green and red are too close")
-    assert flag.notes[2].startswith("green turned by +0.2")
+    assert flag.notes[2].startswith("green turned at a rate that differs by +0.2")
 
 
 def test_robots_that_did_not_drive_and_older_logs_are_not_marked():

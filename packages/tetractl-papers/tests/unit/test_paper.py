@@ -189,8 +189,8 @@ def test_no_row_on_an_experiment_has_a_verdict_or_a_p_value():
     """What Ou's 20 trials, Khalil's and Pichel's cells gave is printed next to ours, not tested."""
     rows = rows_of_page()
     for figure in (
-        "20 trials: mean total error, bench",
-        "20 trials: standard deviation of the total error, bench",
+        "mean total error of the 20 trials, on the bench",
+        "standard deviation of the total error of the 20 trials, on the bench",
         "diameter of the disc of 95 % of a hold, microjet",
         "a over B: width of its interval, 204 cells",
     ):

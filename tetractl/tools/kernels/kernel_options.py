@@ -46,6 +46,7 @@ Loops become vector code only if all that they call is inlined.
 """
 ENTRY_FAST: Any = _ENTRY | _UNCOUNTED | {"fastmath": FAST}
 """For kernels, which Python calls. They create no arrays: Python passes those that they fill."""
+PART_EXACT: Any = _PART | {"fastmath": False}
 INLINE_EXACT: Any = _INLINE | {"fastmath": False}
 ENTRY: Any = _ENTRY | {"fastmath": False}
 """The same for kernels that compute the same bits as their reference implementations.
@@ -85,6 +86,14 @@ def exact(function: Callable[..., Any]) -> Callable[..., Any]:
     The compiler may neither reorder nor merge its operations, in contrast to `inlined`.
     """
     return njit(**INLINE_EXACT)(with_parts(function, exact))
+
+
+def shared_exact(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a plain function like `exact`, but once for all places where a kernel calls it.
+
+    It is for functions that take longer than a call, such as a sine, outside of vector code.
+    """
+    return njit(**PART_EXACT)(with_parts(function, exact))
 
 
 @cache

@@ -4,12 +4,12 @@ They give the same result as in plain Python, to the last bit.
 """
 
 from tetractl.core import elementary
-from tetractl.tools.kernels.kernel_options import exact
+from tetractl.tools.kernels.kernel_options import exact, shared_exact
 
-sin = exact(elementary.sin)
-cos = exact(elementary.cos)
-exp = exact(elementary.exp)
-log = exact(elementary.log)
-atan = exact(elementary.atan)
-atan2 = exact(elementary.atan2)
+sin = shared_exact(elementary.sin)
+cos = shared_exact(elementary.cos)
+exp = shared_exact(elementary.exp)
+log = shared_exact(elementary.log)
+atan = shared_exact(elementary.atan)
+atan2 = shared_exact(elementary.atan2)
 hypot = exact(elementary.hypot)

@@ -37,7 +37,7 @@ from tetractl.core.elementary import (
 Floats = NDArray[np.float64]
 
 EXPONENT_MAX = 300.0
-"""Limit of |x| below which `exp` and `expm1` accept an argument.
+"""Limit of |x| below which `expm1` accepts an argument.
 
 Below it, powers of two stay in the range of floats, and neither the 1 nor the power of expm1 may
 be neglected.
@@ -66,8 +66,8 @@ def _quarter_turns(x: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def exp(x: Floats) -> Floats:
-    """Compute e^x for arrays with |x| below EXPONENT_MAX."""
-    k, p = _powers(x)
+    """Compute e^x for arrays with x below `elementary.EXPONENT_MAX`."""
+    k, p = _powers(np.maximum(x, -elementary.EXPONENT_MAX))  # from there on, the result is 0
     half = k >> 1
     return (1.0 + p) * np.ldexp(1.0, half) * np.ldexp(1.0, k - half)
 
@@ -128,8 +128,13 @@ def is_angle(x: Floats) -> NDArray[np.bool_]:
 
 
 def is_exponent(x: Floats) -> NDArray[np.bool_]:
-    """Check which arguments `exp` and `expm1` accept: below EXPONENT_MAX in magnitude."""
+    """Check which arguments `expm1` accepts: below EXPONENT_MAX in magnitude."""
     return np.abs(x) < EXPONENT_MAX
+
+
+def is_finite_exponent(x: Floats) -> NDArray[np.bool_]:
+    """Check which arguments `exp` accepts: numbers below `elementary.EXPONENT_MAX`."""
+    return x < elementary.EXPONENT_MAX
 
 
 def is_half_exponent(x: Floats) -> NDArray[np.bool_]:

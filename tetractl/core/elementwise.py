@@ -79,7 +79,7 @@ def _one_by_one(function: Callable[..., float]) -> Callable[..., Floats]:
 
 sin = _elementwise(elementary.sin, arrays.sin, arrays.is_angle)
 cos = _elementwise(elementary.cos, arrays.cos, arrays.is_angle)
-exp = _elementwise(elementary.exp, arrays.exp, arrays.is_exponent)
+exp = _elementwise(elementary.exp, arrays.exp, arrays.is_finite_exponent)
 expm1 = _elementwise(elementary.expm1, arrays.expm1, arrays.is_exponent)
 log = _elementwise(elementary.log, arrays.log, arrays.is_positive)
 log1p = _elementwise(elementary.log1p, arrays.log1p, arrays.is_above_minus_1)

@@ -200,7 +200,8 @@ RULES = {
     "slack": Rule(((mpc, "SLACK", 1.0),), (*TIME, "sticking-5hz")),
     "longer plans": Rule((_returns(Mpc, "_search_longer", None),), (*TIME, "sticking-5hz")),
     "lengths that grow by a fifth": Rule(
-        ((Mpc, "_search_longer", _one_signal_more),), (*TIME, *WALLS, "sticking-5hz", "cells")
+        ((Mpc, "_search_longer", _one_signal_more),),
+        (*TIME, *WALLS, "round-obstacle", "narrow-gap", "sticking-5hz", "cells"),
     ),
     "six signals a robot": Rule(((lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
     "attempts cost": Rule((_value(new=False),), ("sticking-5hz", "wander", "strip")),

@@ -21,7 +21,14 @@ from .layouts import Random, anywhere, eight, near_a_wall, through_a_gap
 
 BENCH = "three_m3pi_bench.yaml"
 CELLS = "tetrahymena_disturbed.yaml"
-BENCHMARK = "near-equal", "five-robots", "paper-disturbed", "one-cell"
+BENCHMARK = (
+    "near-equal",
+    "five-robots",
+    "paper-disturbed",
+    "one-cell",
+    "round-obstacle",
+    "narrow-gap",
+)
 HURT = (
     "plant.dead_time=0.11",
     "plant.a_error=0.2",

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats
 
 STANDS_PROBABILITY = 0.9
@@ -52,11 +51,6 @@ class PredictionErrors:
     rms: Floats
     late_s: Floats
     more: Floats
-
-    @property
-    def distances(self) -> Floats:
-        """Root mean square of the distance of each robot from its prediction, shape (N,)."""
-        return elementwise.hypot(self.rms[:, 0], self.rms[:, 1])
 
 
 @dataclass(frozen=True, slots=True)

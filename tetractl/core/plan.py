@@ -290,14 +290,10 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """A decision to end the trial with a stop that is sent `delay_ns` after the decision.
-
-    `reason` is a sentence for the operator. It is empty if the outcome says it all.
-    """
+    """A decision to end the trial with a stop that is sent `delay_ns` after the decision."""
 
     outcome: Outcome
     delay_ns: int
-    reason: str = ""
 
 
 Decision = Plan | Outcome | End

@@ -167,7 +167,7 @@ def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 _CONVERT: Mapping[Any, Callable[[Any], Any]] = {
-    Floats: _array, float: float, int: index, str: str, State: State, Outcome: _outcome,
+    Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
     Floats | None: _or_none(_array), float | None: _or_none(float),
     StopReason | str: stop_reason,
     tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),

@@ -373,7 +373,7 @@ class Trial:
                 return LoopEnd(decision)
             if isinstance(decision, End):
                 self._sleep_until(self._clock.now() + decision.delay_ns)
-                return LoopEnd(decision.outcome, decision.reason)
+                return LoopEnd(decision.outcome)
             command = self._carry_out(k, observation, decision, solve_ns)
             due_ns = self._pacing.finish(k, decision.pauses)
             if not self._interrupt.requested:

@@ -45,9 +45,6 @@ applies decides what the robots do. Each rule is a method with the same name.
     few directions get through    a signal is repeated until it ends, and nothing is searched
                                   meanwhile (`tetractl.control.estimation.reception`)
     a pose jumps                  the filter predicts without it (`control.estimation.filter`)
-    plans do not come true,       no new plan begins. The robots stop as near to the targets as they
-    because the model is wrong    came before, or at the end of their plan, and the trial ends
-                                  (`tetractl.control.methods.gain`)
     a robot stops working         ControlError, if the spec requires that this ends the trial.
                                   Otherwise the robot is lost
     a robot is lost               the leg begins again for the others, at rest or driving as they
@@ -79,7 +76,6 @@ from tetractl.control.methods.fixed_sequence import (
     least_error,
     make_plan,
 )
-from tetractl.control.methods.gain import FAR_OFF, NOTHING_YET, Follows, Gain
 from tetractl.control.methods.lengths import Searcher, least_length, longer, resampled
 from tetractl.control.methods.mpc_section import RecommendedMpc
 from tetractl.control.methods.passage import (
@@ -173,7 +169,6 @@ class TrialProgress:
         driven: For how many steps of the leg they have driven without a pause. A plan is under way
             unless this is 0.
         turning: How they have turned on the spot.
-        gain: How near they have come to the targets of the leg.
     """
 
     k: int = 0
@@ -181,7 +176,6 @@ class TrialProgress:
     moving: bool = False
     driven: int = 0
     turning: Turning = NOT_TURNING
-    gain: Gain = NOTHING_YET
 
     @property
     def state(self) -> State:
@@ -303,29 +297,9 @@ class Mpc:
             decision = self._decide(motion, observation)
         if not isinstance(decision, Plan):
             return decision
-        gain = self._gain_after(motion, decision)
-        self.progress = replace(self.progress.after(decision), gain=gain)
+        self.progress = self.progress.after(decision)
         plan = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
         return plan.extend_to_all(self.leg.present, poses)
-
-    def _gain_after(self, motion: Problem, plan: Plan) -> Gain:
-        """Return the gain of the leg after a step that decided on this plan."""
-        now_s = self.time.passed_s - self.leg.began_s
-        gain = self.progress.gain
-        if gain is NOTHING_YET:
-            step = replace(motion, targets=self.leg.targets)
-            gain = gain.begun(now_s, least_length(step) * step.period)
-        rests = self.progress.k > 0 and not self.progress.moving
-        error = float(motion.poses.distances(self.leg.targets).sum())
-        return gain.after(now_s, error, rests, plan.target_cost, self._follows())
-
-    def _follows(self) -> Follows:
-        """Return how robots follow the model, by the present estimate."""
-        estimate = self.estimator.estimate
-        if estimate is None or estimate.predictions is None:
-            return Follows(fits=True, is_far_off=False)
-        off = estimate.predictions.distances.sum()
-        return Follows(estimate.fits, bool(off > FAR_OFF * self.section.accept_error))
 
     # legs
 
@@ -342,7 +316,7 @@ class Mpc:
         It has no plan yet.
         """
         self.leg = leg
-        self.progress = replace(self.progress, last=None, driven=0, gain=NOTHING_YET)
+        self.progress = replace(self.progress, last=None, driven=0)
 
     def _leg(
         self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
@@ -416,7 +390,6 @@ class Mpc:
                 spent_s=self.time.passed_s - self.leg.began_s,
                 period_s=motion.period,
                 patience_s=section.patience_s(self.setup),
-                is_hopeless=self.progress.gain.is_over,
             ),
         )
 
@@ -490,8 +463,7 @@ class Mpc:
         """Compute a lower bound of the value of driving on.
 
         The bound is the value of the plan under way, or the value that the shortest new plan would
-        have if it led exactly to the targets. A new plan counts only if there is time for it. If
-        plans have not come true (`gain`), nothing better is expected than what was reached before.
+        have if it led exactly to the targets. A new plan counts only if there is time for it.
         """
         bound = np.inf
         if len(warm) > 0:
@@ -499,8 +471,6 @@ class Mpc:
         if step.allows(least_length(step.problem)):
             shortest_new = len(warm) + 2  # one signal more is still the plan under way
             bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
-        if self.progress.gain.is_over:
-            bound = max(bound, self.progress.gain.least_before)
         return bound
 
     @property
@@ -534,15 +504,9 @@ class Mpc:
             rest = self._standing(step.problem, State.RESTING, searches)
             return replace(rest, delay_ns=delay_ns)
         outcome = Outcome.NO_BETTER_PLAN if len(warm) > 0 else Outcome.SEQUENCE_COMPLETED
-        if delay_ns > 0 or self.progress.gain.is_over:
-            return End(outcome, delay_ns, self._why_it_ends)
+        if delay_ns > 0:
+            return End(outcome, delay_ns)
         return outcome
-
-    @property
-    def _why_it_ends(self) -> str:
-        """A sentence for the operator if the trial ends because plans do not come true, else ""."""
-        gain = self.progress.gain
-        return gain.describe(self.setup.unit) if gain.is_over else ""
 
     def _best_stop(self, problem: Problem, within_s: float) -> tuple[int, float]:
         """Find the best moment to stop within a time, and the error after that stop.
@@ -664,7 +628,7 @@ class Mpc:
 
     # at rest
 
-    def _at_rest(self, step: ControlStep) -> Decision:
+    def _at_rest(self, step: ControlStep) -> Plan | Outcome:
         """Decide what the robots do while no plan is under way."""
         stay = self._stay(step)
         if stay is not None:
@@ -692,7 +656,7 @@ class Mpc:
             return self._standing(step.problem, State.RESTING)
         return None
 
-    def _finish(self, step: ControlStep) -> Decision | None:
+    def _finish(self, step: ControlStep) -> Plan | Outcome | None:
         """End this leg of the trial, or stand still in a hold, if no new plan can gain enough.
 
         This applies only to robots that stand still, and only if the error is at most the lowest
@@ -713,8 +677,6 @@ class Mpc:
             return None
         if self.leg.holds:
             return self._standing(step.problem, State.RESTING)
-        if self.progress.gain.is_over:
-            return End(Outcome.NO_BETTER_PLAN, 0, self._why_it_ends)
         return Outcome.NO_BETTER_PLAN
 
     def _turn(self, searched: Searched) -> Plan | None:

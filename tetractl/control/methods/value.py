@@ -8,8 +8,7 @@ The value is an error [length unit]:
     J        predicted total error at the candidate's end, f of the paper's (8)
     attempt  the expected cost of disturbances during a new attempt: a plan that leads the robots
              away from the plan under way. It starts at `accept` and doubles every `patience_s`,
-             because a long trial is disturbed more. 0 for the plan under way and for a stop. inf
-             if earlier attempts did not bring what they promised (`gain`)
+             because a long trial is disturbed more. 0 for the plan under way and for a stop
     price t  the price of the time t until the robots stand still at the end
     caution  a penalty if the path touches a margin
 
@@ -17,7 +16,6 @@ The value is an error [length unit]:
 no value: they are what remains if no plan is safe (`mpc` and `turns`).
 """
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -39,7 +37,6 @@ class CandidateValues:
         spent_s: Time since the leg began [s].
         period_s: Duration of each signal [s].
         patience_s: Time in which `attempt` doubles [s].
-        is_hopeless: Whether nothing is expected of new attempts.
         price: Price of a second, in units of `accept`.
         touch: Penalty if a path touches a margin, in units of `accept`.
     """
@@ -48,7 +45,6 @@ class CandidateValues:
     spent_s: float
     period_s: float
     patience_s: float = PATIENCE_S
-    is_hopeless: bool = False
     price: ClassVar[float] = 0.02  # of a second, in units of `accept`
     touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
 
@@ -61,8 +57,6 @@ class CandidateValues:
             new: Whether it is a new attempt, not the plan under way.
             touches: Whether its path touches a margin.
         """
-        if new and self.is_hopeless:
-            return math.inf
         attempt = exp(LN_2 * self.spent_s / self.patience_s) if new else 0.0
         price = self.price * self.period_s * length
         caution = self.touch if touches else 0.0

@@ -6,7 +6,6 @@ controller whose robots are already driving. `decide` returns its decision in th
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from testkit.trials import THREE_M3PI, experiment
 
 from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.methods.fixed_sequence import given_plan
-from tetractl.control.methods.gain import FAILED_MAX, NOTHING_YET
 from tetractl.control.methods.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES
 from tetractl.control.methods.mpc import SEARCH_S, SLACK
 from tetractl.control.methods.value import CandidateValues
@@ -438,37 +436,3 @@ def test_robots_that_cannot_stand_drive_on_where_their_plan_is_longer_than_the_t
     controller, _ = driving({signals_in_time: ACCEPT}, signals_left=9, time_limit=time_limit)
     plan = decide(controller, now=now_ns)
     assert (plan.state, plan.search.length) == (State.DRIVING, signals_in_time)
-
-
-# ---- where plans do not come true ----
-
-HOPELESS = replace(NOTHING_YET, window_s=6.0, failed=FAILED_MAX, least_before=80.0)
-"""The gain of a leg in which plans have not brought robots nearer than 80 mm."""
-
-
-def hopeless(costs, **fields):
-    """A controller of driving robots that expects nothing of new plans, and its optimiser."""
-    controller, search = driving(costs, **fields)
-    controller.progress = replace(controller.progress, gain=HOPELESS)
-    return controller, search
-
-
-@pytest.mark.parametrize("is_hopeless", [True, False])
-def test_no_new_plan_begins_where_plans_do_not_come_true(is_hopeless):
-    """The one under way is followed, although a detour promises less."""
-    controller, _ = (hopeless if is_hopeless else driving)(good_from(10, 0.0) | {5: 150.0})
-    poses = TARGETS.copy()
-    poses[:, 0] -= controller.setup.speed * 5 * PERIOD_S
-    plan = decide(controller, poses)
-    assert plan.search.length == 5 if is_hopeless else plan.search.length >= 10
-
-
-def test_robots_stop_as_near_as_they_came_before_and_the_reason_is_given():
-    controller, _ = hopeless({5: 0.0}, collision=RESTS)
-    plan = decide(controller, short_by(60))
-    assert plan.state is State.RESTING
-    end = decide(controller, short_by(60), 8 * PERIOD_NS, Command(Stop(), PERIOD_NS, HEARD))
-    assert isinstance(end, End)
-    assert end.outcome is Outcome.NO_BETTER_PLAN
-    assert "driving on gains too little" in end.reason
-    assert "80 mm" in end.reason

@@ -51,7 +51,7 @@ def check(
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
     from tetractl.control.methods.build import warm_up
-    from tetractl.lab.preflight import Preflight, look_over
+    from tetractl.lab.preflight import Preflight, inspect_lab
     from tetractl.run.model_changes import LATENCY, stated_model
     from tetractl.run.practice import practise
     from tetractl.view.terminal.findings import preflight_items, print_findings
@@ -66,11 +66,11 @@ def check(
         if not experiment.plant.real_time or experiment.open or findings.camera_rate_hz is None:
             return findings
         warm_up(experiment, partial(ui.announce_compiling, False))
-        practice = practise(loaded, rig.clock, rig.silent_ns)
+        practice = practise(loaded, rig.clock, rig.measure_silence_ns)
         return practice.added_to(findings, rig.limits)
 
     with interrupted_once(robots=True):
-        preflight = look_over(rig, with_practice)
+        preflight = inspect_lab(rig, with_practice)
     if as_json:
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:

@@ -135,7 +135,7 @@ def _number(it: "Intervention", which: str) -> str:
 
 def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
     """Count the interventions of each check, and sum the hours for which the check was active."""
-    from tetractl.lab.guard_observer import Act
+    from tetractl.lab.guard_observer import Action
     from tetractl.verification.guard_replay import KERNEL_CHECKS, WHEEL_CHECKS
 
     by_check = Counter((it.check, it.act) for one in seen for it in one.interventions)
@@ -147,9 +147,9 @@ def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
         rows.append(
             {
                 "check": name,
-                "poses_refused": by_check[name, Act.REFUSES],
-                "robots_stopped": by_check[name, Act.STOPS],
-                "runs_ended": by_check[name, Act.ENDS],
+                "poses_refused": by_check[name, Action.REFUSES],
+                "robots_stopped": by_check[name, Action.STOPS],
+                "runs_ended": by_check[name, Action.ENDS],
                 "hours": sum(watched) / 3600,
             }
         )

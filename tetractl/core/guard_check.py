@@ -15,11 +15,12 @@ class GuardCheck(Protocol):
     this order:
 
     1. `start` before each run.
-    2. `sent` for each transmission.
-    3. `exposed` for each frame. Then `pose` for each new pose that its robot can have reached, or
-       `repeat` if the pose equals the last one. Then `frame`, once the poses are accepted. Between
-       two runs, `pause` replaces `pose` and `repeat`.
-    4. `tick` each time before the guard decides whether the robots may go on.
+    2. `record_transmission` for each transmission.
+    3. `record_exposures` for each frame. Then, for each robot, `check_pose` if the frame shows a
+       new pose that the robot can have reached, or `check_repeat` if the pose equals the last one.
+       Then `check_frame`, once the poses are accepted. Between two runs, the guard calls
+       `check_pause` instead of `check_pose` and `check_repeat`.
+    4. `check_places` each time before the guard decides whether the robots may go on.
 
     Findings take effect in the order in which they are yielded. Lengths are in the spec's length
     unit, times in ns.
@@ -31,7 +32,7 @@ class GuardCheck(Protocol):
     Example:
         >>> from tetractl.core.guard_findings import Abort
         >>> class Fence(tetractl.core.guard_check.GuardCheck):
-        ...     def pose(self, robot, before, pose):
+        ...     def check_pose(self, robot, before, pose):
         ...         if pose.x > 1000:
         ...             yield Abort(f"robot {robot} crossed the fence", suspect=robot)
     """
@@ -48,7 +49,9 @@ class GuardCheck(Protocol):
             robot: Index of the robot.
         """
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+    def record_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
         """Record that an action was transmitted to the robots.
 
         Args:
@@ -57,10 +60,10 @@ class GuardCheck(Protocol):
             turning: Commanded turning rate of each robot [rad/s], N entries.
         """
 
-    def exposed(self, times: tuple[int, ...]) -> None:
+    def record_exposures(self, times: tuple[int, ...]) -> None:
         """Record the times at which the poses of a frame were measured [ns], N entries."""
 
-    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
+    def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
         """Check a new pose of a robot during a run, and return what is wrong with it.
 
         Args:
@@ -73,7 +76,7 @@ class GuardCheck(Protocol):
         """
         return ()
 
-    def repeat(self, robot: int) -> Iterable[Finding]:
+    def check_repeat(self, robot: int) -> Iterable[Finding]:
         """Check a robot whose new pose equals its last accepted pose exactly.
 
         Args:
@@ -81,7 +84,7 @@ class GuardCheck(Protocol):
         """
         return ()
 
-    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+    def check_pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
         """Check a robot's new pose in a pause between two runs.
 
         Args:
@@ -92,7 +95,7 @@ class GuardCheck(Protocol):
         """
         return ()
 
-    def frame(
+    def check_frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterable[Finding]:
         """Check all accepted poses of a frame during a run.
@@ -104,7 +107,7 @@ class GuardCheck(Protocol):
         """
         return ()
 
-    def tick(self, robots: Sequence[RobotPlace]) -> Iterable[Finding]:
+    def check_places(self, robots: Sequence[RobotPlace]) -> Iterable[Finding]:
         """Check where the robots are, whether or not a frame has arrived.
 
         Args:

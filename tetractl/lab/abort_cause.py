@@ -40,22 +40,22 @@ RECENT_NS = SECOND // 2
 """Time before the abort over which motion is compared with commands [ns]."""
 STEP_NS = SECOND // 40
 """Time step of the integration of commands, and step between two assumed delays [ns]."""
-LATEST_NS = SECOND
+DELAY_MAX_NS = SECOND
 """Maximum delay that is assumed for a slow radio [ns]."""
 LIKELY_RATES = np.array([100.0, 100.0, 0.1, 0.1])
 """Standard deviations of the image's shift, turn and growth [mm/s, mm/s, rad/s, 1/s]."""
 MISFIT_NOISE = np.array([2.0, 2.0, 0.02])
 """Standard deviation of a difference of poses: along, across, around the heading [mm, mm, rad]."""
-SHARE = np.array([0.08, 0.04, 0.1])
+MOTION_ERROR = np.array([0.08, 0.04, 0.1])
 """Additional error of a commanded motion, as a fraction of it: along, across, around."""
-CLEAR = 9.0
+CLEAR_DIFFERENCE = 9.0
 """Difference between two sums of squares from which the smaller explanation counts as better."""
-CAMERA = (
+CAMERA_MOVED = (
     "all robots are seen to move in a way that no command explains: has the camera or its "
     "origin moved, or does another program drive the robots?"
 )
-RADIO = "all robots move as they were commanded {:.1f} s earlier: is the radio slow?"
-SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
+RADIO_SLOW = "all robots move as they were commanded {:.1f} s earlier: is the radio slow?"
+NUMBERS_SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
 
 
 class AbortCause:
@@ -75,7 +75,7 @@ class AbortCause:
         self._frames = [as_shown(frame) for frame in frames]
         self._usual_delays = round(rules.limits.delay * SECOND) // STEP_NS
 
-    def why(self, suspect: int, reason: str) -> str:
+    def explain(self, suspect: int, reason: str) -> str:
         """Name the cause if it is the camera, the radio, or two swapped robot numbers.
 
         A robot that does not move is itself the cause, because its link, power or wheels have
@@ -90,82 +90,92 @@ class AbortCause:
             A message for the operator. Empty if the suspected robot itself is the cause, or if
             fewer than two robots were tracked throughout.
         """
-        ends = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
-        robots = [i for i, pair in enumerate(ends) if None not in pair]  # shown throughout
+        end_poses = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
+        robots = [i for i, ends in enumerate(end_poses) if None not in ends]
         if len(robots) < 2 or suspect not in robots or DOES_NOT_MOVE in reason:
             return ""
         if AS_NO_COMMAND in reason:
-            swapped = self._swapped(suspect, robots)
+            swapped = self._explain_by_swapped_numbers(suspect, robots)
             if swapped:
                 return swapped
-        return self._common_cause(suspect, robots)
+        return self._explain_by_common_cause(suspect, robots)
 
-    def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
+    def _explain_by_common_cause(self, suspect: int, robots: Sequence[int]) -> str:
         """Return a message that names the camera or the radio, if it explains the motion best.
 
         The message is empty if one robot explains the motion as well.
         """
-        others = np.array(robots) != suspect
-        camera, one_robot = self._camera(robots, others)
-        radio, one_robot_late, delay_ns = self._radio(robots, others)
-        late = radio < min(CLEAR * len(robots), one_robot_late)
-        if late and radio + CLEAR < max(one_robot_late, min(camera, one_robot)):
-            return RADIO.format(delay_ns / SECOND)
-        return CAMERA if camera + CLEAR < one_robot else ""
+        is_other = np.array(robots) != suspect
+        camera, one_robot = self._compare_with_camera(robots, is_other)
+        radio, one_robot_late, delay_ns = self._compare_with_radio(robots, is_other)
+        radio_explains = radio < min(CLEAR_DIFFERENCE * len(robots), one_robot_late)
+        if radio_explains and radio + CLEAR_DIFFERENCE < max(
+            one_robot_late, min(camera, one_robot)
+        ):
+            return RADIO_SLOW.format(delay_ns / SECOND)
+        return CAMERA_MOVED if camera + CLEAR_DIFFERENCE < one_robot else ""
 
-    def _swapped(self, suspect: int, robots: Sequence[int]) -> str:
+    def _explain_by_swapped_numbers(self, suspect: int, robots: Sequence[int]) -> str:
         """Return a message that names the robot whose number is swapped with the suspect's.
 
         The message is empty if there is none.
         """
-        as_own = dict(zip(robots, self._misfits(robots, robots), strict=True))
+        as_own = dict(zip(robots, self._compute_misfits(robots, robots), strict=True))
         for robot in robots:
             if robot == suspect:
                 continue
-            exchanged = sum(self._misfits([suspect, robot], [robot, suspect]))
-            if exchanged < min(CLEAR, as_own[suspect] + as_own[robot] - CLEAR):
+            exchanged = sum(self._compute_misfits([suspect, robot], [robot, suspect]))
+            if exchanged < min(
+                CLEAR_DIFFERENCE, as_own[suspect] + as_own[robot] - CLEAR_DIFFERENCE
+            ):
                 first, second = sorted((suspect, robot))
-                return SWAPPED.format(self._rules.names[first], self._rules.names[second])
+                return NUMBERS_SWAPPED.format(self._rules.names[first], self._rules.names[second])
         return ""
 
-    def _misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
+    def _compute_misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
         """Compute how badly the motions of robots fit the commands of the robots `commanded`.
 
         Returns:
             |z|^2 of each robot, shape (K,), at the usual delay that fits best.
         """
-        return self._squares_by_delay(robots, commanded, self._usual_delays).min(axis=0)
+        return self._compute_squares_by_delay(robots, commanded, self._usual_delays).min(axis=0)
 
-    def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
+    def _compare_with_camera(self, robots: Sequence[int], is_other: Bools) -> tuple[float, float]:
         """Compare two explanations of the motion: the camera image moves, or one robot does.
 
         Returns:
             The sum of squared residuals under each explanation. The smaller one fits better.
         """
-        left_over = [self._drift.left_over(i, ends_of_blocks(self._frames, i)) for i in robots]
-        z = np.array([residual for residual, _ in left_over])
-        moves = np.vstack([picture for _, picture in left_over]) * LIKELY_RATES
-        flat = z.ravel()
-        g = np.linalg.solve(moves.T @ moves + np.eye(4), moves.T @ flat)
-        camera = ((flat - moves @ g) ** 2).sum() + g @ g
-        return camera, (z[others] ** 2).sum()
+        fits = [
+            self._drift.compute_residual(i, select_spaced_poses(self._frames, i)) for i in robots
+        ]
+        residuals = np.array([residual for residual, _ in fits])
+        regressors = np.vstack([picture for _, picture in fits]) * LIKELY_RATES
+        stacked = residuals.ravel()
+        image_motion = np.linalg.solve(
+            regressors.T @ regressors + np.eye(4), regressors.T @ stacked
+        )
+        camera = ((stacked - regressors @ image_motion) ** 2).sum() + image_motion @ image_motion
+        return camera, (residuals[is_other] ** 2).sum()
 
-    def _radio(self, robots: Sequence[int], others: Bools) -> tuple[float, float, int]:
+    def _compare_with_radio(
+        self, robots: Sequence[int], is_other: Bools
+    ) -> tuple[float, float, int]:
         """Compare two explanations of the motion: a slow radio, or one robot.
 
         Returns:
             The sum of squares under each explanation, and the delay of the radio that fits best
             [ns].
         """
-        nominal = self._usual_delays
-        delays = max(LATEST_NS // STEP_NS, nominal + 1)
-        squares = self._squares_by_delay(robots, robots, delays)
+        usual_delays = self._usual_delays
+        delays = max(DELAY_MAX_NS // STEP_NS, usual_delays + 1)
+        squares = self._compute_squares_by_delay(robots, robots, delays)
         radio = squares.sum(axis=1)
-        delay = nominal + int(radio[nominal:].argmin())
-        one_robot = squares[:nominal, others].sum(axis=1).min()
+        delay = usual_delays + int(radio[usual_delays:].argmin())
+        one_robot = squares[:usual_delays, is_other].sum(axis=1).min()
         return radio[delay], one_robot, delay * STEP_NS
 
-    def _squares_by_delay(
+    def _compute_squares_by_delay(
         self, robots: Sequence[int], commanded: Sequence[int], delays: int
     ) -> Floats:
         """Compute |z|^2 of robots for the commands of the robots `commanded`, at several delays.
@@ -173,70 +183,75 @@ class AbortCause:
         Returns:
             The values, shape (delays, K). Commands act later by 0, 1, ... steps of STEP_NS.
         """
-        then = self._array(self._frames[0].poses, robots)
-        now = self._array(self._frames[-1].poses, robots)
+        first_poses = self._stack_poses(self._frames[0].poses, robots)
+        last_poses = self._stack_poses(self._frames[-1].poses, robots)
         ended_ns = {i: self._frames[-1].exposed(i) for i in robots}
         spans_ns = [ended_ns[i] - self._frames[0].exposed(i) for i in robots]
         # steps between each robot's own two poses
         own_steps = np.array([max(1, round(span_ns / STEP_NS)) for span_ns in spans_ns])
-        steps = int(own_steps.max())
-        in_own = (np.arange(steps)[:, None] < own_steps)[:, None]
+        steps_max = int(own_steps.max())
+        is_own_step = (np.arange(steps_max)[:, None] < own_steps)[:, None]
         # speeds and turning rates (T, 2, N) in steps before each end, the newest first
         commands = self._drift.commands
         sent_before: dict[int, Floats] = {}
         for end_ns in set(ended_ns.values()):
-            means = [commands.mean(end_ns - k * STEP_NS, STEP_NS) for k in range(delays + steps)]
-            sent_before[end_ns] = np.array(means)
+            rates = [
+                commands.compute_mean(end_ns - k * STEP_NS, STEP_NS)
+                for k in range(delays + steps_max)
+            ]
+            sent_before[end_ns] = np.array(rates)
         columns = [
             sent_before[ended_ns[i]][:, :, column]
             for i, column in zip(robots, commanded, strict=True)
         ]
-        sent = np.stack(columns, axis=-1)
-        sent *= STEP_NS / SECOND
-        rows: list[Floats] = []
+        commanded_motion = np.stack(columns, axis=-1)
+        commanded_motion *= STEP_NS / SECOND
+        squares: list[Floats] = []
         for delay in range(delays):
-            in_own_span = (sent[delay : delay + steps] * in_own)[::-1]  # oldest first
-            rows.append(squares_of(then, now, in_own_span))
-        return np.array(rows)
+            newest_first = commanded_motion[delay : delay + steps_max] * is_own_step
+            squares.append(compute_squares(first_poses, last_poses, newest_first[::-1]))
+        return np.array(squares)
 
-    def _array(self, poses: Sequence[Pose | None], robots: Sequence[int]) -> Floats:
+    def _stack_poses(self, poses: Sequence[Pose | None], robots: Sequence[int]) -> Floats:
         """Return the poses of tracked robots as an array (K, 3) [mm, mm, rad]."""
-        rows: list[tuple[float, float, float]] = []
+        pose_rows: list[tuple[float, float, float]] = []
         for i in robots:
             pose = poses[i]
             if pose is not None:
                 mm = self._rules.mm
-                rows.append((pose.x * mm, pose.y * mm, pose.heading))
-        return np.array(rows)
+                pose_rows.append((pose.x * mm, pose.y * mm, pose.heading))
+        return np.array(pose_rows)
 
 
-def ends_of_blocks(frames: Sequence[AcceptedFrame], i: int) -> list[TimedPose]:
+def select_spaced_poses(frames: Sequence[AcceptedFrame], robot: int) -> list[TimedPose]:
     """Select poses of robot i that are at least BLOCK_NS apart, the first pose included."""
-    ends: list[TimedPose] = []
-    for timed in timed_poses(frames, i):
-        if not ends or timed.exposed_ns - ends[-1].exposed_ns >= BLOCK_NS:
-            ends.append(timed)
-    return ends
+    selected: list[TimedPose] = []
+    for timed in timed_poses(frames, robot):
+        if not selected or timed.exposed_ns - selected[-1].exposed_ns >= BLOCK_NS:
+            selected.append(timed)
+    return selected
 
 
-def squares_of(then: Floats, now: Floats, sent: Floats) -> Floats:
+def compute_squares(first_poses: Floats, last_poses: Floats, commanded: Floats) -> Floats:
     """Compute the squared size (n,) of the motion between two poses, in standard deviations.
 
     Args:
-        then: Poses before, shape (n, 3).
-        now: Poses afterwards, shape (n, 3).
-        sent: Distances and angles that were commanded in between, shape (T, 2, n).
+        first_poses: Poses before, shape (n, 3).
+        last_poses: Poses afterwards, shape (n, 3).
+        commanded: Distances and angles that were commanded in between, shape (T, 2, n).
     """
-    ways = sent[:, 0]
-    turns = sent[:, 1]
-    way = ways.sum(0)
-    course = then[:, 2] + np.cumsum(turns, axis=0) - turns / 2
-    moved = now - then
-    dx = moved[:, 0] - (ways * np.cos(course)).sum(0)
-    dy = moved[:, 1] - (ways * np.sin(course)).sum(0)
+    distances = commanded[:, 0]
+    turns = commanded[:, 1]
+    distance = distances.sum(0)
+    headings = first_poses[:, 2] + np.cumsum(turns, axis=0) - turns / 2
+    moved = last_poses - first_poses
+    dx = moved[:, 0] - (distances * np.cos(headings)).sum(0)
+    dy = moved[:, 1] - (distances * np.sin(headings)).sum(0)
     around = moved[:, 2] - turns.sum(0)
-    cos = np.cos(now[:, 2])
-    sin = np.sin(now[:, 2])
-    off = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, np.angle(np.exp(1j * around))])
-    size = np.column_stack([way, way, abs(turns).sum(0)])
-    return ((off / (MISFIT_NOISE + SHARE * size)) ** 2).sum(axis=1)
+    cos = np.cos(last_poses[:, 2])
+    sin = np.sin(last_poses[:, 2])
+    difference = np.column_stack(
+        [cos * dx + sin * dy, cos * dy - sin * dx, np.angle(np.exp(1j * around))]
+    )
+    size = np.column_stack([distance, distance, abs(turns).sum(0)])
+    return ((difference / (MISFIT_NOISE + MOTION_ERROR * size)) ** 2).sum(axis=1)

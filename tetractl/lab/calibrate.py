@@ -141,7 +141,7 @@ def calibrate_robots(
             for question in rig.actuator.check().questions:
                 report(f"warning: {question}")
             measured = bench.measure()
-            emulated = rig.emulated(rig.camera.check(), rig.actuator.check())
+            emulated = rig.list_emulated(rig.camera.check(), rig.actuator.check())
         finally:
             bench.close()
         if offset_before is not None:

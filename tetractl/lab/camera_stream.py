@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame
 
-SLOW_HZ = 20.0
+RATE_MIN_HZ = 20.0
 """Rate of frames below which one lost frame looks like a lost stream [Hz]."""
 NOISE_FRAMES = 25
 """Number of frames in a row in which each body's pose must change for poses to count as noisy.
@@ -24,7 +24,7 @@ carries one of them.
 """
 
 
-def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
+def compute_rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
     """Compute the rate of frames or images [Hz]. Lost frames in between count too.
 
     Args:
@@ -53,29 +53,32 @@ class RepeatDetector:
         self._is_noisy = False
         self._differing_in_a_row = 0  # frames before robots were first driven
 
-    def add(self, frame: CameraFrame, before: CameraFrame, driven: bool) -> None:
+    def add(self, frame: CameraFrame, previous: CameraFrame, was_driven: bool) -> None:
         """Compare a camera frame with the previous one, and note which poses repeat.
 
         Args:
             frame: The frame.
-            before: The previous frame.
-            driven: Whether robots have ever been driven.
+            previous: The previous frame.
+            was_driven: Whether robots have ever been driven.
         """
-        if not driven and not self._is_noisy:
-            if _each_body_differs(frame, before):
+        if not was_driven and not self._is_noisy:
+            if _do_all_bodies_differ(frame, previous):
                 self._differing_in_a_row += 1
             else:
                 self._differing_in_a_row = 0
             self._is_noisy = self._differing_in_a_row >= NOISE_FRAMES
-        is_equal = (frame.poses, frame.unknown_objects) == (before.poses, before.unknown_objects)
+        is_equal = (frame.poses, frame.unknown_objects) == (
+            previous.poses,
+            previous.unknown_objects,
+        )
         self.repeats = is_equal and self._is_noisy
 
 
-def _each_body_differs(frame: CameraFrame, before: CameraFrame) -> bool:
+def _do_all_bodies_differ(frame: CameraFrame, previous: CameraFrame) -> bool:
     """Check whether every body in one of two frames has a different pose in the other one."""
-    pairs = zip(frame.poses, before.poses, strict=True)
-    seen = [(now, then) for now, then in pairs if now is not None or then is not None]
-    return bool(seen) and all(now != then for now, then in seen)
+    poses = zip(frame.poses, previous.poses, strict=True)
+    tracked = [(new, old) for new, old in poses if new is not None or old is not None]
+    return bool(tracked) and all(new != old for new, old in tracked)
 
 
 class RateWindow:
@@ -96,7 +99,7 @@ class RateWindow:
         times_ns = self._exposed_ns
         if not times_ns or times_ns[-1] - times_ns[0] < SECOND // 2:
             return None
-        return rate_hz(range(len(times_ns)), times_ns)
+        return compute_rate_hz(range(len(times_ns)), times_ns)
 
 
 class DamagedCount:
@@ -147,25 +150,25 @@ class CameraStream:
         """Whether the newest frame repeats the previous one, although measurements are noisy."""
         return self._repeated.repeats
 
-    def advance(self, frame: CameraFrame, driven: bool) -> bool:
+    def add_frame(self, frame: CameraFrame, was_driven: bool) -> bool:
         """Add a frame. If it is not newer than all previous ones, count it as dropped.
 
         Args:
             frame: The frame.
-            driven: Whether robots were ever driven.
+            was_driven: Whether robots were ever driven.
 
         Returns:
             Whether the frame is newer than all previous ones.
         """
         exposed_ns = frame.sampled_ns
-        before = self.newest
-        if before is not None:
-            if exposed_ns <= before.sampled_ns:
+        previous = self.newest
+        if previous is not None:
+            if exposed_ns <= previous.sampled_ns:
                 self.dropped += 1
                 self.outdated += 1
-                self.behind_ns = before.sampled_ns - exposed_ns
+                self.behind_ns = previous.sampled_ns - exposed_ns
                 return False
-            self._repeated.add(frame, before, driven)
+            self._repeated.add(frame, previous, was_driven)
         self.newest = frame
         self.outdated = 0
         self._rate.add(exposed_ns)
@@ -178,19 +181,21 @@ class CameraStream:
         It is empty if frames come fast enough, or if their rate is not known yet.
         """
         rate = self._rate.hz
-        if rate is None or rate >= SLOW_HZ:
+        if rate is None or rate >= RATE_MIN_HZ:
             return ""
-        few = f"only {rate:.0f} images per second came, but at least {SLOW_HZ:.0f} are needed"
-        return f"; {few}: is this computer busy?"
+        rate_text = (
+            f"only {rate:.0f} images per second came, but at least {RATE_MIN_HZ:.0f} are needed"
+        )
+        return f"; {rate_text}: is this computer busy?"
 
     @property
     def outdated_text(self) -> str:
         """The end of a message: how much older the last outdated frame was than the newest."""
         return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
 
-    def frameless_text(self, silent_ns: int) -> str:
+    def describe_silence(self, silent_ns: int) -> str:
         """Return a message that no new frame has arrived for a time, and how many came too late."""
-        text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
+        message = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self.outdated:
-            return text
-        return f"{text}: {self.outdated} outdated frames came, the last {self.outdated_text}"
+            return message
+        return f"{message}: {self.outdated} outdated frames came, the last {self.outdated_text}"

@@ -41,7 +41,7 @@ from tetractl.core.robot_step import EXACT, PARTS, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
-    ANOTHER,
+    MOVES_UNEXPLAINED,
     WATCHDOG_NS,
     CommandHistory,
     MotionCheck,
@@ -52,23 +52,23 @@ BLOCK_NS = SECOND // 20
 """Duration of a block, over which motion is compared with commands [ns]."""
 TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)
 """Delays between which a command acts [ns], the nominal one first."""
-BEFORE_NS = (*TAPS_NS, 37 * SECOND // 200)
+COMMAND_DELAYS_NS = (*TAPS_NS, 37 * SECOND // 200)
 """The delays TAPS_NS, and one between the last two, which has no weight in the fit [ns]."""
-NOISE = np.array([0.4, 0.4, 0.005])
+POSE_NOISE = np.array([0.4, 0.4, 0.005])
 """Standard deviation of a measured pose: x, y, heading [mm, mm, rad]."""
-LATEST = 3
+COMPARED_DELAYS = 3
 """Number of delays among which commands are compared, to estimate the effect of a lost packet."""
-SLIP = np.array([1.5, 1.5, 0.02])
+SLIP_WALK = np.array([1.5, 1.5, 0.02])
 """Random walk of a robot along, across and around its heading [mm, mm, rad, each per sqrt(s)]."""
-LOST = np.array([0.15, 0.0, 0.15])
+LOSS_ERROR = np.array([0.15, 0.0, 0.15])
 """Error of a block's motion, as a fraction of the difference between successive commands."""
-LAGS = LOST / 5
-"""The part of this error that remains 0.13 s later, for wheels with a lag of 80 ms."""
-CLIP = 1.7
+LATER_ERROR = LOSS_ERROR / 5
+"""The part of LOSS_ERROR that remains 0.13 s later, for wheels with a lag of 80 ms."""
+CLIP_SIGMAS = 1.7
 """Number of standard deviations to which a residual is limited."""
 
 
-class At:
+class Column:
     """Column indices of the regression matrix that the drift check fits to a robot's motion.
 
     Column 0 is the motion to be explained: what nominal wheels do not explain. Each further column
@@ -99,40 +99,40 @@ class At:
     width = 20
 
 
-PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
+PRIOR_STD = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
 """Prior standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
-ERRORS = np.zeros((3, len(PRIOR)))
+ERRORS_OF_CONSTANTS = np.zeros((3, len(PRIOR_STD)))
 """Converts the constants to errors of the left wheel, the right wheel and the heading, (3, 12)."""
-ERRORS[:, At.speed - 1] = (1, 1, 0)
-ERRORS[:, At.difference - 1] = (-1, 1, 0)
-ERRORS[:, At.heading - 1] = (0, 0, 1)
-LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
-"""Inverse prior variances of the columns `motion`, from the largest motions [mm/s, rad/s, 1/s]."""
-LEAST_BLOCKS = 12
+ERRORS_OF_CONSTANTS[:, Column.speed - 1] = (1, 1, 0)
+ERRORS_OF_CONSTANTS[:, Column.difference - 1] = (-1, 1, 0)
+ERRORS_OF_CONSTANTS[:, Column.heading - 1] = (0, 0, 1)
+INVERSE_LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
+"""Inverse prior variances of the columns `Column.motion`, from the largest plausible motions."""
+CHANGE_BLOCKS_MIN = 12
 """Minimum number of blocks since the beginning of a change before it is judged here.
 
 Younger changes are left to `motion_check`, because a lost packet makes 7 blocks wrong in the same
 way.
 """
-SPACING = 5
+MOMENT_SPACING = 5
 """Number of blocks between two moments of the grid."""
 MOMENTS_MAX = 32
 """Maximum number of moments of the grid. Beyond it, old moments are thinned out."""
-STEADY = 0.25
+STEADY_ERROR_MAX = 0.25
 """Maximum relative error of wheels for which this check works.
 
 The check assumes a constant error. A dead zone causes a larger one.
 """
 SURE_ERRORS = 3.0
 """Number of standard errors by which an estimate must exceed its limit."""
-LEAST_KNOWN = 0.01
+KNOWN_FRACTION_MIN = 0.01
 """Fraction of the prior's variance that a trial must explain for a turning rate to be known."""
-TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
+DRIFT_TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 TURNS_TEXT = (
     "robots turn by themselves while they drive. Either their wheels differ, or their poses "
     "have been false since the start; this trial alone cannot distinguish the two: {}"
 )
-WRONG = (
+WRONG_WHEELS = (
     "{}'s left wheel is {:+.0%} off its commanded speed, and its right one {:+.0%}: is it "
     "calibrated, or does the camera track another body as this robot?"
 )
@@ -181,109 +181,115 @@ class DriftCheck(GuardCheck):
         robots = len(rules.names)
         self._names = rules.names
         self._mm = rules.mm
-        self._share = rules.limits.wheel_error
-        self._limit = rules.limits.drift
+        self._wheel_error_max = rules.limits.wheel_error
+        self._drift_max = rules.limits.drift
         self._motion = motion
         self._radius = rules.wheel_radius * rules.mm
-        # of a step between two poses, each part
-        self._variance = 2 * np.square(elementwise.hypot(NOISE, rules.sight.spread))
+        # variance of a step between two poses: along, across, around
+        self._pose_variance = 2 * np.square(elementwise.hypot(POSE_NOISE, rules.sight.spread))
         self._coarse = rules.sight.coarse
         self.commands = CommandHistory(2, robots)  # speeds [mm/s] and turning rates [rad/s]
         self.worst = 0.0
         self.blocks = 0
-        self._fastest = np.zeros(robots)  # greatest speeds commanded [mm/s]
+        self._speed_max_mm_s = np.zeros(robots)  # greatest speeds commanded [mm/s]
         # the fit: sums of products of the columns, the constants and their covariance
-        self._sums = np.zeros((robots, At.width, At.width))
-        self._fit = np.zeros((robots, len(PRIOR)))
-        self._spread = np.array([np.diag(np.square(PRIOR))] * robots)
-        # the grid: sums at moments since which a change is looked for, by the blocks before each
-        self._grid = {0: self._sums.copy()}
-        # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
-        self._carried = np.zeros((robots, 3))
+        self._sums = np.zeros((robots, Column.width, Column.width))
+        self._fit = np.zeros((robots, len(PRIOR_STD)))
+        self._covariance = np.array([np.diag(np.square(PRIOR_STD))] * robots)
+        # the grid: `_sums` at each moment since which a change is looked for. The keys are the
+        # numbers of blocks before the moments.
+        self._sums_at = {0: self._sums.copy()}
+        # Motion that was clipped from each robot's last block, and that its next block counts. A
+        # clipped turn is not kept, because a lost packet may have caused it.
+        self._clipped_motion = np.zeros((robots, 3))
         # the last accepted poses of the newest frame, and their times
         self._poses: Sequence[Pose | None] = (None,) * robots
-        self._times: Sequence[int] = (0,) * robots
+        self._pose_times: Sequence[int] = (0,) * robots
         self.start()
 
-    # ---- what is taken ----
+    # ---- observations ----
 
     def start(self) -> None:
         """Ignore the motion between the last pose and the next one, but keep the fit."""
-        self._began_ns = 0  # when the block began
-        self._starts: list[MeasuredPose | None] = [None] * len(self._names)
-        self._carried[:] = 0.0
+        self._block_began_ns = 0  # when the block began
+        self._block_starts: list[MeasuredPose | None] = [None] * len(self._names)
+        self._clipped_motion[:] = 0.0
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record that an action was transmitted to the robots; see `GuardCheck.sent`."""
+    def record_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Record a transmission; see `GuardCheck.record_transmission`."""
         speeds = np.array(speed) * self._mm
-        self._fastest = np.maximum(self._fastest, speeds)
-        self.commands.sent(now_ns, np.array([speeds, turning]))
+        self._speed_max_mm_s = np.maximum(self._speed_max_mm_s, speeds)
+        self.commands.add(now_ns, np.array([speeds, turning]))
 
-    def frame(
+    def check_frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> tuple[Abort, ...]:
-        """Check the motion up to a frame; see `GuardCheck.frame`.
+        """Check the motion up to a frame; see `GuardCheck.check_frame`.
 
         Repeated poses are left out. Before a calibration, wheels may be wrong by more than STEADY.
         Such wheels would explain any drift, so nothing is checked then.
         """
         poses_before = self._poses
-        times_before = self._times
+        times_before = self._pose_times
         self._poses = poses
-        self._times = times
-        dt_ns = now_ns - self._began_ns
-        if dt_ns < BLOCK_NS or self._share > STEADY:
+        self._pose_times = times
+        dt_ns = now_ns - self._block_began_ns
+        if dt_ns < BLOCK_NS or self._wheel_error_max > STEADY_ERROR_MAX:
             return ()
-        ways = self._motion.travelled * (self._mm, self._mm, 1.0)
-        ends: list[MeasuredPose | None] = []
+        travelled = self._motion.travelled * (self._mm, self._mm, 1.0)
+        end_poses: list[MeasuredPose | None] = []
         for i, pose in enumerate(poses):
             # no new measurement, though it has another time
             repeats = pose == poses_before[i] and times[i] != times_before[i] and not self._coarse
             if pose is None or repeats:
-                ends.append(None)
+                end_poses.append(None)
             else:
-                ends.append(MeasuredPose(pose, times[i], ways[i]))
+                end_poses.append(MeasuredPose(pose, times[i], travelled[i]))
         if dt_ns < WATCHDOG_NS:
-            self._add(ended_blocks(self._starts, ends))
+            self._add_blocks(steps_between(self._block_starts, end_poses))
             self.blocks += 1
-        self._began_ns = now_ns
-        self._starts = ends
-        fault = self._fit_and_judge() if self.blocks % 2 == 0 else None
+        self._block_began_ns = now_ns
+        self._block_starts = end_poses
+        fault = self._fit_and_check() if self.blocks % 2 == 0 else None
         return () if fault is None else (fault,)
 
-    # ---- what is known ----
+    # ---- estimates ----
 
-    def carried(self, i: int, pose: Pose, then_ns: int, late_ns: int) -> Pose:
+    def predict_pose(self, i: int, pose: Pose, exposed_ns: int, ahead_ns: int) -> Pose:
         """Predict where robot i is somewhat later, from the commands that were sent.
 
         Args:
             i: Index of the robot.
             pose: Its pose.
-            then_ns: The time of the pose [ns].
-            late_ns: How much later the prediction is [ns].
+            exposed_ns: The time of the pose [ns].
+            ahead_ns: How much later the prediction is [ns].
         """
-        v, w = self.commands.mean(then_ns + late_ns - TAPS_NS[0], late_ns)[:, i]
-        way = v / self._mm * late_ns / SECOND
-        turned = w * late_ns / SECOND
-        dx, dy = rolled(pose.heading, turned, way)
+        acting_until_ns = exposed_ns + ahead_ns - TAPS_NS[0]
+        commanded = self.commands.compute_mean(acting_until_ns, ahead_ns)
+        speed_mm_s, turning_rad_s = commanded[:, i]
+        distance = speed_mm_s / self._mm * ahead_ns / SECOND
+        turned = turning_rad_s * ahead_ns / SECOND
+        dx, dy = rolled(pose.heading, turned, distance)
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
 
-    def turns(self) -> str:
-        """Return a message about robots that turn off course while they drive.
+    def describe_turning(self) -> str:
+        """Describe which robots turn off course while they drive.
 
         A robot counts if it turns by more than SURE_ERRORS standard errors. Either its wheels
         differ, or its poses have been wrong from the start. One trial cannot show which. The
         message is empty if no robot counts.
         """
-        texts = [
+        rate_texts = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
-            for name, rate, error in zip(self._names, *self.turning(), strict=False)
+            for name, rate, error in zip(self._names, *self.estimate_turning(), strict=False)
             if abs(rate) > SURE_ERRORS * error
         ]
-        return TURNS_TEXT.format(", ".join(texts)) if texts else ""
+        return TURNS_TEXT.format(", ".join(rate_texts)) if rate_texts else ""
 
-    def turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return how fast each robot turns off course when it drives at its highest command.
+    def estimate_turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Estimate how fast each robot turns off course when it drives at its highest speed.
 
         The prior of d is removed, so that trials of one robot can be compared. If d is known to be
         m with the variance q, and its prior variance is p, the rate is v / r m / (1 - q / p) and
@@ -293,19 +299,21 @@ class DriftCheck(GuardCheck):
             The rates and their standard errors [rad/s], N entries each. The error is inf for robots
             that did not drive. Both are empty if no rate is known.
         """
-        d = At.difference - 1
-        per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
-        variance = self._spread[:, d, d]
-        explained = 1.0 - variance / PRIOR[d] ** 2
-        is_known = (explained > LEAST_KNOWN) & (per > 0.0)
+        column = Column.difference - 1
+        rate_per_error = (
+            self._speed_max_mm_s / self._radius if self._radius else 0.0 * self._speed_max_mm_s
+        )
+        variance = self._covariance[:, column, column]
+        explained = 1.0 - variance / PRIOR_STD[column] ** 2
+        is_known = (explained > KNOWN_FRACTION_MIN) & (rate_per_error > 0.0)
         if not is_known.any():
             return (), ()
         explained = np.where(is_known, explained, 1.0)
-        rates = np.where(is_known, per * self._fit[:, d] / explained, 0.0)
-        errors = np.where(is_known, per * np.sqrt(variance / explained), np.inf)
+        rates = np.where(is_known, rate_per_error * self._fit[:, column] / explained, 0.0)
+        errors = np.where(is_known, rate_per_error * np.sqrt(variance / explained), np.inf)
         return tuple(rates.tolist()), tuple(errors.tolist())
 
-    def left_over(self, i: int, poses: Sequence[TimedPose]) -> tuple[Floats, Floats]:
+    def compute_residual(self, i: int, poses: Sequence[TimedPose]) -> tuple[Floats, Floats]:
         """Compute the part of a robot's motion that commands and wheels do not explain.
 
         Args:
@@ -316,69 +324,85 @@ class DriftCheck(GuardCheck):
             z (3,), in standard deviations, and its regressors on a shift, turn and growth of the
             image (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
-        total = np.zeros((3, At.width))
-        variance = self._variance
-        for then, now in pairwise(poses):
-            dt_ns = now.exposed_ns - then.exposed_ns
+        columns = np.zeros((3, Column.width))
+        variance = self._pose_variance
+        for earlier, later in pairwise(poses):
+            dt_ns = later.exposed_ns - earlier.exposed_ns
             step = RobotStep.between(
-                then.pose, now.pose, dt_ns=dt_ns, until_ns=now.exposed_ns, robot=i
+                earlier.pose, later.pose, dt_ns=dt_ns, until_ns=later.exposed_ns, robot=i
             )
-            x, walk = self._regressors([step], step.way[None] * (self._mm, self._mm, 1.0))
-            total = total + x[0]
-            variance = variance + walk[0]
-        regressors = total[:, At.constants]
-        variance = variance + np.einsum("rp,pq,rq->r", regressors, self._spread[i], regressors)
+            step_columns, step_variance = self._build_columns(
+                [step], step.way[None] * (self._mm, self._mm, 1.0)
+            )
+            columns = columns + step_columns[0]
+            variance = variance + step_variance[0]
+        regressors = columns[:, Column.constants]
+        variance = variance + np.einsum("rp,pq,rq->r", regressors, self._covariance[i], regressors)
         spread = np.sqrt(variance)
-        residual = total[:, At.residual] - np.einsum("rp,p->r", regressors, self._fit[i])
-        return residual / spread, total[:, At.picture] / spread[:, None]
+        residual = columns[:, Column.residual] - np.einsum("rp,p->r", regressors, self._fit[i])
+        return residual / spread, columns[:, Column.picture] / spread[:, None]
 
     # ---- the fit ----
 
-    def _commanded(self, block: RobotStep) -> Floats:
-        """Return the speed and turning rate commanded over a block, for each delay of BEFORE_NS.
+    def _find_commands(self, block: RobotStep) -> Floats:
+        """Return the speed and turning rate commanded over a block, shape (5, 2).
 
-        The shape is (5, 2).
+        There is one row for each delay of COMMAND_DELAYS_NS.
         """
-        means = [self.commands.mean(block.until_ns - tap_ns, block.dt_ns) for tap_ns in BEFORE_NS]
-        return np.array(means)[:, :, block.robot]
+        commands = [
+            self.commands.compute_mean(block.until_ns - tap_ns, block.dt_ns)
+            for tap_ns in COMMAND_DELAYS_NS
+        ]
+        return np.array(commands)[:, :, block.robot]
 
-    def _regressors(self, blocks: Sequence[RobotStep], motions: Floats) -> tuple[Floats, Floats]:
-        """Compute residuals and regressors of blocks with the `motions` (K, 3), and variances.
+    def _build_columns(self, blocks: Sequence[RobotStep], motions: Floats) -> tuple[Floats, Floats]:
+        """Compute the columns of the regression matrix for some blocks of motion.
+
+        Args:
+            blocks: The blocks.
+            motions: The robots' motions in the blocks, shape (K, 3) [mm, mm, rad].
 
         Returns:
             Residuals and regressors, shape (K, 3, 20), and variances of the motions, shape (K, 3).
         """
-        commanded = np.array([self._commanded(block) for block in blocks])  # (K, 5, 2)
-        sent = commanded[:, : len(TAPS_NS)]
+        commanded = np.array([self._find_commands(block) for block in blocks])  # (K, 5, 2)
+        at_taps = commanded[:, : len(TAPS_NS)]
         dt_s = np.array([block.dt_ns / SECOND for block in blocks])
-        v, w = sent[:, 0].T * dt_s
-        r = self._radius
-        later = (sent[:, 1:] - sent[:, :1]) * dt_s[:, None, None]
+        speed, turning = at_taps[:, 0].T * dt_s
+        radius = self._radius
+        delay_effects = (at_taps[:, 1:] - at_taps[:, :1]) * dt_s[:, None, None]
         along = 0
         across = 1
         around = 2
-        x = np.zeros((len(blocks), 3, At.width))
-        x[:, :, At.residual] = motions
-        x[:, along, At.residual] -= v
-        x[:, around, At.residual] -= w
-        x[:, along, At.speed] = v
-        x[:, along, At.difference] = w * r
-        x[:, along, At.aside] = w
-        x[:, along, At.taps_along] = later[:, :, 0]
-        x[:, across, At.heading] = v
-        x[:, across, At.forward] = w
-        x[:, around, At.speed] = w
-        x[:, around, At.radius] = w
-        x[:, around, At.difference] = v / r if r else 0.0
-        x[:, around, At.taps_around] = later[:, :, 1]
-        x[:, :, At.velocity] = np.eye(3) * dt_s[:, None, None]
-        x[:, :2, At.picture] = self._picture_moves([block.before for block in blocks], dt_s)
-        x[:, around, At.picture.start + 2] = dt_s
-        unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
-        before = np.abs(commanded[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]]
-        before = before * dt_s[:, None]
-        walk = SLIP * SLIP * dt_s[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
-        return x, walk
+        columns = np.zeros((len(blocks), 3, Column.width))
+        columns[:, :, Column.residual] = motions
+        columns[:, along, Column.residual] -= speed
+        columns[:, around, Column.residual] -= turning
+        columns[:, along, Column.speed] = speed
+        columns[:, along, Column.difference] = turning * radius
+        columns[:, along, Column.aside] = turning
+        columns[:, along, Column.taps_along] = delay_effects[:, :, 0]
+        columns[:, across, Column.heading] = speed
+        columns[:, across, Column.forward] = turning
+        columns[:, around, Column.speed] = turning
+        columns[:, around, Column.radius] = turning
+        columns[:, around, Column.difference] = speed / radius if radius else 0.0
+        columns[:, around, Column.taps_around] = delay_effects[:, :, 1]
+        columns[:, :, Column.velocity] = np.eye(3) * dt_s[:, None, None]
+        columns[:, :2, Column.picture] = self._picture_moves(
+            [block.before for block in blocks], dt_s
+        )
+        columns[:, around, Column.picture.start + 2] = dt_s
+        command_spread = np.ptp(at_taps[:, :COMPARED_DELAYS], axis=1)
+        command_spread = command_spread[:, [0, 0, 1]] * dt_s[:, None]
+        older_spread = np.abs(commanded[:, COMPARED_DELAYS:] - at_taps[:, :1]).max(axis=1)
+        older_spread = older_spread[:, [0, 0, 1]] * dt_s[:, None]
+        variances = (
+            SLIP_WALK * SLIP_WALK * dt_s[:, None]
+            + (LOSS_ERROR * command_spread) ** 2
+            + (LATER_ERROR * older_spread) ** 2
+        )
+        return columns, variances
 
     def _picture_moves(self, poses: Sequence[Pose | None], dt_s: Floats) -> Floats:
         """Compute how poses seem to move if the camera's image shifts, turns and grows.
@@ -397,7 +421,7 @@ class DriftCheck(GuardCheck):
         axes = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
         return product(axes, moves.transpose(2, 0, 1)) * dt_s[:, None, None]
 
-    def _add(self, blocks: Sequence[RobotStep]) -> None:
+    def _add_blocks(self, blocks: Sequence[RobotStep]) -> None:
         """Add blocks of different robots to the sums.
 
         Each block is clipped to the range that is expected for it.
@@ -405,35 +429,41 @@ class DriftCheck(GuardCheck):
         if not blocks:
             return
         robots = [block.robot for block in blocks]
-        motions = np.array([block.way for block in blocks]) + self._carried[robots]
-        x, walk = self._regressors(blocks, motions)
-        spread = np.sqrt(self._variance + walk)
-        x /= spread[:, :, None]
-        regressors = x[:, :, At.constants]
+        motions = np.array([block.way for block in blocks]) + self._clipped_motion[robots]
+        columns, variances = self._build_columns(blocks, motions)
+        deviations = np.sqrt(self._pose_variance + variances)
+        columns /= deviations[:, :, None]
+        regressors = columns[:, :, Column.constants]
         expected = product(regressors, self._fit[robots, :, None])[..., 0]
-        uncertain = product(regressors, self._spread[robots]) * regressors
-        bound = CLIP * np.sqrt(1 + uncertain.sum(axis=2))
-        residual = x[:, :, At.residual].copy()
-        x[:, :, At.residual] = np.clip(residual, expected - bound, expected + bound)
-        self._carried[robots, :2] = ((residual - x[:, :, At.residual]) * spread)[:, :2]
-        self._sums[robots] += product(x.swapaxes(1, 2), x)
+        spread_of_fit = product(regressors, self._covariance[robots]) * regressors
+        bound = CLIP_SIGMAS * np.sqrt(1 + spread_of_fit.sum(axis=2))
+        residual = columns[:, :, Column.residual].copy()
+        columns[:, :, Column.residual] = np.clip(residual, expected - bound, expected + bound)
+        self._clipped_motion[robots, :2] = (
+            (residual - columns[:, :, Column.residual]) * deviations
+        )[:, :2]
+        self._sums[robots] += product(columns.swapaxes(1, 2), columns)
 
-    def _fit_and_judge(self) -> Abort | None:
+    def _fit_and_check(self) -> Abort | None:
         """Repeat the fit, and return the abort of the run if it shows a fault, else None.
 
         From time to time, a moment is added to the grid.
         """
         sums = self._sums
-        self._spread = inverse(sums[:, At.constants, At.constants] + np.diag(1 / np.square(PRIOR)))
-        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, At.constants, At.residual])
+        self._covariance = inverse(
+            sums[:, Column.constants, Column.constants] + np.diag(1 / np.square(PRIOR_STD))
+        )
+        self._fit = np.einsum(
+            "npq,nq->np", self._covariance, sums[:, Column.constants, Column.residual]
+        )
         self.worst = 0.0
         change = self._find_worst_change()
-        if self.blocks - max(self._grid) >= SPACING:
-            self._grid[self.blocks] = sums.copy()
-            if len(self._grid) > MOMENTS_MAX:  # old moments are kept less densely
-                for moment in list(self._grid)[1 : 3 * MOMENTS_MAX // 4 : 2]:
-                    del self._grid[moment]
-        return change if self.worst > self._limit else self._wrong_wheels()
+        if self.blocks - max(self._sums_at) >= MOMENT_SPACING:
+            self._sums_at[self.blocks] = sums.copy()
+            if len(self._sums_at) > MOMENTS_MAX:  # old moments are kept less densely
+                for moment in list(self._sums_at)[1 : 3 * MOMENTS_MAX // 4 : 2]:
+                    del self._sums_at[moment]
+        return change if self.worst > self._drift_max else self._check_wheels()
 
     # ---- changes ----
 
@@ -443,52 +473,65 @@ class DriftCheck(GuardCheck):
         It may be the motion of one robot or of the whole image. `worst` is set to the reduction.
         The result is None while no moment is old enough.
         """
-        youngest = self.blocks - LEAST_BLOCKS
-        old = [sums_then for blocks, sums_then in self._grid.items() if blocks <= youngest]
-        if not old:
+        youngest = self.blocks - CHANGE_BLOCKS_MIN
+        sums_at_moments = [
+            sums_then for blocks, sums_then in self._sums_at.items() if blocks <= youngest
+        ]
+        if not sums_at_moments:
             return None
         sums = self._sums
-        fitted = np.einsum("np,np->n", self._fit, sums[:, At.constants, At.residual])
-        squares = sums[:, At.residual, At.residual] - fitted  # (N,) what is left over in all
-        count = 3.0 * max(self.blocks, 1)
-        changes = self._changes(np.array(old), squares, count)
-        of_one = slice(0, 3)
-        pulls = changes.pulls[..., of_one]
-        own_squares = changes.squares[..., of_one, of_one] + np.diag(LARGEST[of_one])
+        explained = np.einsum("np,np->n", self._fit, sums[:, Column.constants, Column.residual])
+        # what is left unexplained in all, shape (N,)
+        residual_squares = sums[:, Column.residual, Column.residual] - explained
+        degrees = 3.0 * max(self.blocks, 1)
+        changes = self._compute_changes(np.array(sums_at_moments), residual_squares, degrees)
+        own_motion = slice(0, 3)
+        pulls = changes.pulls[..., own_motion]
+        own_squares = changes.squares[..., own_motion, own_motion] + np.diag(
+            INVERSE_LARGEST[own_motion]
+        )
         velocity = solve(own_squares, pulls[..., None])[..., 0]
         gain = (pulls * velocity).sum(axis=2)  # (G, N)
-        gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
-        shift, gain_together = self._shift_of_all(changes)
+        gain /= np.maximum(1.0, (residual_squares - gain) / degrees)  # noise above that assumed
+        shift, gain_together = self._fit_image_motion(changes)
         gain_alone = gain.max(axis=1)
-        g = int(np.maximum(gain_alone, gain_together).argmax())
-        self.worst = float(max(gain_alone[g], gain_together[g]))
-        excess = Excess("drift", self.worst, self._limit)
-        i = int(gain[g].argmax())
-        if gain_together[g] > gain_alone[g]:
-            gains = self._gains_of_shift(changes, g, shift[g])
+        worst = int(np.maximum(gain_alone, gain_together).argmax())
+        self.worst = float(max(gain_alone[worst], gain_together[worst]))
+        excess = Excess("drift", self.worst, self._drift_max)
+        i = int(gain[worst].argmax())
+        if gain_together[worst] > gain_alone[worst]:
+            gains = self._compute_gains(changes, worst, shift[worst])
             i = int(gains.argmax())
-            if gains.sum() - gains[i] > self._limit / 4:  # it explains the others' motion as well
+            # the motion of the image explains the motion of the other robots as well
+            if gains.sum() - gains[i] > self._drift_max / 4:
                 everybody = range(len(self._names))
-                return Abort(TOGETHER, tuple(everybody), excess=excess)
-        part = PARTS[int((pulls[g, i] * velocity[g, i]).argmax())]  # in which it moves most
-        text = f"{self._names[i]} {ANOTHER.format(part)}"
+                return Abort(DRIFT_TOGETHER, tuple(everybody), excess=excess)
+        strongest = int((pulls[worst, i] * velocity[worst, i]).argmax())
+        text = f"{self._names[i]} {MOVES_UNEXPLAINED.format(PARTS[strongest])}"
         return Abort(text, (i,), suspect=i, excess=replace(excess, robot=i))
 
-    def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
-        """Compute the motion since some moments that the fitted constants do not explain.
+    def _compute_changes(
+        self, sums_at_moments: Floats, residual_squares: Floats, count: float
+    ) -> Changes:
+        """Compute the motion that the fitted constants do not explain, since some moments.
 
-        `old` contains the sums at these moments, shape (G, N, ...). `squares` (N,) is the sum of
-        the remaining squared residuals, and `count` their number.
+        Args:
+            sums_at_moments: The sums of products at these moments, shape (G, N, 20, 20).
+            residual_squares: Sum of each robot's remaining squared residuals, shape (N,).
+            count: Number of these residuals.
         """
-        since = self._sums - old
-        mixed = since[..., At.constants, At.motion]
-        explained = product(product(mixed.swapaxes(2, 3), self._spread), mixed)
-        unexplained = since[..., At.motion, At.motion] - explained
-        pulls = since[..., At.motion, At.residual] - product(self._fit[:, None], mixed)[..., 0, :]
-        noise = np.maximum(1.0, squares / count)[:, None]
+        since = self._sums - sums_at_moments
+        cross_sums = since[..., Column.constants, Column.motion]
+        explained = product(product(cross_sums.swapaxes(2, 3), self._covariance), cross_sums)
+        unexplained = since[..., Column.motion, Column.motion] - explained
+        pulls = (
+            since[..., Column.motion, Column.residual]
+            - product(self._fit[:, None], cross_sums)[..., 0, :]
+        )
+        noise = np.maximum(1.0, residual_squares / count)[:, None]
         return Changes(unexplained, pulls, noise)
 
-    def _shift_of_all(self, changes: Changes) -> tuple[Floats, Floats]:
+    def _fit_image_motion(self, changes: Changes) -> tuple[Floats, Floats]:
         """Find, for each moment, the image motion that best explains the motion of all robots.
 
         The results are the motion (G, 4) and the reduction of the residuals (G,). The reduction is
@@ -497,44 +540,46 @@ class DriftCheck(GuardCheck):
         picture = slice(3, 7)
         total = (changes.pulls[..., picture] / changes.noise).sum(axis=1)
         squares = (changes.squares[..., picture, picture] / changes.noise[..., None]).sum(axis=1)
-        squares = squares + np.diag(LARGEST[picture])
+        squares = squares + np.diag(INVERSE_LARGEST[picture])
         shift = solve(squares, total[..., None])[..., 0]
         if len(self._names) == 1:
             return shift, np.zeros(len(shift))
         return shift, (total * shift).sum(axis=1)
 
-    def _gains_of_shift(self, changes: Changes, g: int, shift: Floats) -> Floats:
+    def _compute_gains(self, changes: Changes, moment: int, shift: Floats) -> Floats:
         """Compute how much a motion of the image since moment g reduces each robot's residuals.
 
         The motion has shape (4,), the result (N,).
         """
         picture = slice(3, 7)
-        pulls = changes.pulls[g][:, picture]
-        squares = changes.squares[g][:, picture, picture]
-        rest = 2 * pulls - np.einsum("npq,q->np", squares, shift)
-        return np.einsum("np,p->n", rest, shift) / changes.noise[:, 0]
+        pulls = changes.pulls[moment][:, picture]
+        squares = changes.squares[moment][:, picture, picture]
+        margin = 2 * pulls - np.einsum("npq,q->np", squares, shift)
+        return np.einsum("np,p->n", margin, shift) / changes.noise[:, 0]
 
     # ---- wheels ----
 
-    def _wrong_wheels(self) -> Abort | None:
+    def _check_wheels(self) -> Abort | None:
         """Return an abort if a robot's wheels or heading are surely too wrong, else None."""
-        errors = product(self._fit, ERRORS.T)  # (N, 3)
-        variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
-        sure = np.abs(errors) - SURE_ERRORS * np.sqrt(variances)
-        beyond = sure > self._share
+        errors = product(self._fit, ERRORS_OF_CONSTANTS.T)  # (N, 3)
+        variances = np.einsum(
+            "ep,npq,eq->ne", ERRORS_OF_CONSTANTS, self._covariance, ERRORS_OF_CONSTANTS
+        )
+        sure_errors = np.abs(errors) - SURE_ERRORS * np.sqrt(variances)
+        is_beyond = sure_errors > self._wheel_error_max
         for i, name in enumerate(self._names):
-            if not beyond[i].any():
+            if not is_beyond[i].any():
                 continue
-            *_, heading_is_wrong = beyond[i]
-            excess = Excess("wheels", float(sure[i].max()), self._share, robot=i)
+            *_, heading_is_wrong = is_beyond[i]
+            excess = Excess("wheels", float(sure_errors[i].max()), self._wheel_error_max, robot=i)
             if heading_is_wrong:
-                return Abort(f"{name} {ANOTHER.format(PARTS[1])}", excess=excess)
+                return Abort(f"{name} {MOVES_UNEXPLAINED.format(PARTS[1])}", excess=excess)
             left_error, right_error, _ = errors[i]
-            return Abort(WRONG.format(name, left_error, right_error), excess=excess)
+            return Abort(WRONG_WHEELS.format(name, left_error, right_error), excess=excess)
         return None
 
 
-def ended_blocks(
+def steps_between(
     starts: Sequence[MeasuredPose | None], ends: Sequence[MeasuredPose | None]
 ) -> list[RobotStep]:
     """Return the motions of the robots that have poses at both ends of a block of time.
@@ -546,7 +591,7 @@ def ended_blocks(
     blocks: list[RobotStep] = []
     for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
         if start is not None and end is not None and end.exposed_ns > start.exposed_ns:
-            way = end.travelled - start.travelled
+            motion = end.travelled - start.travelled
             dt_ns = end.exposed_ns - start.exposed_ns
-            blocks.append(RobotStep(way, EXACT, dt_ns, end.exposed_ns, i, start.pose))
+            blocks.append(RobotStep(motion, EXACT, dt_ns, end.exposed_ns, i, start.pose))
     return blocks

@@ -75,13 +75,13 @@ in this order:
     10  a robot disobeys, is not tracked or seen too rarely    decide (_check_tracking)
     11  a check finds robots too close to something            decide, in the order of checks
 
-Between two steps, a run can also be aborted for late control steps (`note_step`), for a robot that
-another part reports as lost (`lose_robot`), and by `abort` for faults that only other parts can
-notice: a robot moves in a pause, or a device or the inner loop fails.
+Between two steps, a run can also be aborted for late control steps (`record_step`), for a robot
+that another part reports as lost (`lose_robot`), and by `abort` for faults that only other parts
+can notice: a robot moves in a pause, or a device or the inner loop fails.
 
 The inner loop makes the calls of a run, one at a time. Meanwhile, the controller's thread may call
-`note_step` and `abort`. It may call `lose_robot` and `replace_robot` between two steps of the loop.
-Lengths are in the spec's length unit. Times are in ns on the run's clock.
+`record_step` and `abort`. It may call `lose_robot` and `replace_robot` between two steps of the
+loop. Lengths are in the spec's length unit. Times are in ns on the run's clock.
 """
 
 import threading
@@ -109,16 +109,24 @@ from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.kernel import Pace, asleep, frameless, may_move, overdue, undirected, untracked
-from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEATS
+from tetractl.lab.kernel import (
+    ControlPace,
+    check_direction,
+    check_frame_age,
+    check_program,
+    check_tracking,
+    compare_age,
+    may_move,
+)
+from tetractl.lab.motion_check import COMPARED_MAX_NS, DOES_NOT_MOVE, POSE_REPEATS, PUSHED_QUESTION
 from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Maximum number of unreadable images or datagrams within a second that a run tolerates."""
-BUSY = "control steps were late (is this computer busy?); afterwards, "
+BUSY_BEFORE = "control steps were late (is this computer busy?); afterwards, "
 """Beginning of a message that blames a robot or the camera, if control steps were late before."""
-FROZEN = "the frame repeats the previous frame to the last bit: is the camera frozen?"
-RARELY = 3.0
+FRAME_REPEATS = "the frame repeats the previous frame to the last bit: is the camera frozen?"
+RARELY_FACTOR = 3.0
 """Multiple of `untracked_abort` for which a robot may be unseen in total, with interruptions."""
 
 
@@ -175,7 +183,7 @@ class Guard:
         self._state_lock = threading.Lock()
         self._suspect: int | None = None  # the robot that seems to be at fault for an abort
         self._stream = CameraStream()
-        self._pace = Pace()
+        self._pace = ControlPace()
         self._warnings: list[str] = []  # that no ruling has passed on yet
         self._warned: set[str] = set()  # all that are given once only
         self._robots = [RobotTrack(name, rules, i) for i, name in enumerate(rules.names)]
@@ -196,16 +204,16 @@ class Guard:
         """Whether every robot has a recent accepted pose, and none is lost."""
         return all(robot.tracked for robot in self._robots)
 
-    def hides(self, i: int) -> bool:
+    def is_hidden(self, robot: int) -> bool:
         """Check whether robot i has to stop because no pose of it was accepted for too long."""
-        return self._robots[i].hidden
+        return self._robots[robot].hidden
 
-    def refusal_excess(self, i: int) -> Excess | None:
+    def refusal_excess(self, robot: int) -> Excess | None:
         """Return the value, and its limit, that led to the refusal of a robot's newest pose.
 
         The result is None if the pose was not refused, or if the reason has no number.
         """
-        return self._robots[i].decision.excess
+        return self._robots[robot].decision.excess
 
     @property
     def lost(self) -> dict[int, int]:
@@ -213,9 +221,9 @@ class Guard:
 
         The robot that was last seen the longest time ago comes first.
         """
-        lost = {i: robot.lost_ns for i, robot in enumerate(self._robots)}
-        by_time = [(ns, i) for i, ns in lost.items() if ns is not None]
-        return {i: ns for ns, i in sorted(by_time)}
+        lost_ns = {i: robot.lost_ns for i, robot in enumerate(self._robots)}
+        times_and_robots = [(ns, i) for i, ns in lost_ns.items() if ns is not None]
+        return {i: ns for ns, i in sorted(times_and_robots)}
 
     @property
     def moved(self) -> dict[int, str]:
@@ -232,12 +240,12 @@ class Guard:
         state = self.state
         return state is GuardState.RUN or state is GuardState.HOLD
 
-    def why_no_frame(self, silent_ns: int) -> str:
+    def explain_missing_frames(self, silent_ns: int) -> str:
         """Return a message that explains why no new frame has come for `silent_ns` [ns].
 
         After an abort, this is the reason of the abort.
         """
-        return self.reason or self._stream.frameless_text(silent_ns)
+        return self.reason or self._stream.describe_silence(silent_ns)
 
     # ---- states ----
 
@@ -316,37 +324,39 @@ class Guard:
         self._suspect = None
         recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
         cause = AbortCause(self.rules, self.drift, recent)
-        reason = cause.why(suspect, self.reason) or self.reason
-        self.reason = self._with_cause(reason, recent[-1].received_ns)
+        reason = cause.explain(suspect, self.reason) or self.reason
+        self.reason = self._add_explanation(reason, recent[-1].received_ns)
 
-    def lose_robot(self, i: int, reason: str, excess: Excess | None = None) -> None:
+    def lose_robot(self, robot_index: int, reason: str, excess: Excess | None = None) -> None:
         """Continue the run without a robot, or abort it if that is not allowed.
 
         The run is also aborted if no other robot is left. Nothing happens if the robot is lost
         already.
 
         Args:
-            i: Index of the robot.
+            robot_index: Index of the robot.
             reason: Why it is lost.
             excess: The value and its limit. None if the reason has no number.
         """
-        robot = self._robots[i]
+        robot = self._robots[robot_index]
         if robot.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
             return
         others = [track for track in self._robots if track is not robot and not track.lost]
         if not self.rules.goes_on or not others:
-            self.abort(self._with_cause(reason, self._pace.ticked_ns or 0), excess=excess)
+            self.abort(self._add_explanation(reason, self._pace.ticked_ns or 0), excess=excess)
             return
         robot.lost_ns = robot.last_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")
 
-    def replace_robot(self, i: int) -> None:
+    def replace_robot(self, robot_index: int) -> None:
         """Continue the run with another body in place of the lost robot i."""
-        lost = self._robots[i]
-        seen_ns = lost.newest_ns  # it counts as seen now
-        self._robots[i] = RobotTrack(lost.name, self.rules, i, last_ns=seen_ns, newest_ns=seen_ns)
+        lost_track = self._robots[robot_index]
+        seen_ns = lost_track.newest_ns  # it counts as seen now
+        self._robots[robot_index] = RobotTrack(
+            lost_track.name, self.rules, robot_index, last_ns=seen_ns, newest_ns=seen_ns
+        )
         for check in self._checks:
-            check.replace(i)
+            check.replace(robot_index)
 
     # ---- what controller and actuator did ----
 
@@ -358,14 +368,14 @@ class Guard:
         self._pace.directed_ns = now_ns
         self._pace.ahead = ahead
 
-    def note_step(self, missed: bool) -> None:
+    def record_step(self, was_late: bool) -> None:
         """Record whether a control step missed its deadline.
 
         The run is aborted after `late_steps` late steps in a row while robots drive.
         """
         pace = self._pace
-        pace.late_steps = pace.late_steps + 1 if missed and pace.ahead else 0
-        pace.late_ns = pace.ticked_ns if missed else pace.late_ns
+        pace.late_steps = pace.late_steps + 1 if was_late and pace.ahead else 0
+        pace.late_ns = pace.ticked_ns if was_late else pace.late_ns
         if pace.late_steps >= self.rules.limits.late_steps and self._in_run:
             excess = Excess("late steps", pace.late_steps, self.rules.limits.late_steps)
             self.abort(f"{pace.late_steps} control steps in a row were late", excess=excess)
@@ -381,7 +391,7 @@ class Guard:
             turning: Commanded turning rate of each robot [rad/s], N entries.
         """
         for check in self._checks:
-            check.sent(now_ns, speed, turning)
+            check.record_transmission(now_ns, speed, turning)
 
     # ---- each step of the inner loop: check_awake, check_frame for each new frame, decide ----
 
@@ -390,7 +400,7 @@ class Guard:
 
         Call this before the frames are checked that have waited in the meantime.
         """
-        excess = asleep(self.rules, self._pace, now_ns)
+        excess = check_program(self.rules, self._pace, now_ns)
         if self._in_run and excess is not None:
             self.abort(f"this program stood still for {excess.value:.1f} s", excess=excess)
         self._pace.ticked_ns = now_ns
@@ -408,30 +418,30 @@ class Guard:
         """
         if frame.fault:
             self.abort(frame.fault)
-        if not self._stream.advance(frame, self._pace.driven):
+        if not self._stream.add_frame(frame, self._pace.driven):
             if self._in_run and self._stream.dropped == 1:
                 self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None
         in_run = self._in_run
         times = frame.times([robot.last_ns for robot in self._robots])
         for robot, read_ns in zip(self._robots, times, strict=True):
-            robot.read(frame.sampled_ns, read_ns, own_times=bool(frame.exposed_ns))
+            robot.record_times(frame.sampled_ns, read_ns, has_own_times=bool(frame.exposed_ns))
         for check in self._checks:
-            check.exposed(times)
+            check.record_exposures(times)
         if in_run:
             for robot in self._robots:
                 robot.count_absence(self.rules.limits.stale * SECOND)
         if self.rules.goes_on:  # what a frame shows after so long may be another body
             for i, robot in enumerate(self._robots):
-                excess = untracked(self.rules, i, robot.untracked_ns)
+                excess = check_tracking(self.rules, i, robot.untracked_ns)
                 if excess is not None:
                     self.lose_robot(i, robot.untracked_text, excess)
         decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(frame.poses)]
         self._record_poses(decisions)
-        accepted = self._accepted(frame)
+        accepted = self._combine_accepted(frame)
         for check in self._checks:
             if self._in_run:  # up to the first abort
-                self._record(check.frame(frame.sampled_ns, times, accepted.poses))
+                self._apply(check.check_frame(frame.sampled_ns, times, accepted.poses))
         return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
@@ -450,7 +460,7 @@ class Guard:
             self.abort(failure)
         self._stream.damaged.add(now_ns, damaged)
         recently_damaged = self._stream.damaged.recent
-        poses = tuple(self._pose_now(i, robot) for i, robot in enumerate(self._robots))
+        poses = tuple(self._predict_pose(i, robot) for i, robot in enumerate(self._robots))
         nobody = (False,) * len(self._robots)
         moving = nobody
         warnings: tuple[str, ...] = ()
@@ -458,7 +468,7 @@ class Guard:
             self._check_run(now_ns, recently_damaged, poses)
             warnings = tuple(self._warnings)
             self._warnings.clear()
-            moving = self._moving(now_ns)
+            moving = self._find_movable(now_ns)
         if self._in_run:
             in_order = all(
                 robot.lost or (moves and robot.tracked)
@@ -493,27 +503,30 @@ class Guard:
         one arrives, whatever is commanded in the meantime.
         """
         robot = self._robots[i]
-        last = robot.last
+        last_pose = robot.last_pose
         if pose is None or robot.lost:
             return MISSING
         if not robot.is_new:
             return None
-        refusal = robot.refusal(pose, robot.read_ns, self._pace.driven)
+        refusal = robot.find_refusal(pose, robot.read_ns, self._pace.driven)
         if refusal is None and self._stream.repeats:
-            refusal = Refuse(i, FROZEN)
+            refusal = Refuse(i, FRAME_REPEATS)
         if refusal is not None:
             return PoseDecision(refused=refusal.text, excess=refusal.excess)
-        if last is None or not self._pace.driven:
+        if last_pose is None or not self._pace.driven:
             return PoseDecision(pose)
         checks = self._checks
         if not in_run:
-            findings = [check.pause(i, last, pose, robot.read_ns) for check in checks]
+            findings = [check.check_pause(i, last_pose, pose, robot.read_ns) for check in checks]
             return PoseDecision(pose, findings=tuple(chain(*findings)))
-        repeats = pose == last
-        if repeats and robot.decision.refused == REPEATS:
-            return PoseDecision(refused=REPEATS, excess=robot.decision.excess)
-        by_check = [check.repeat(i) if repeats else check.pose(i, last, pose) for check in checks]
-        findings = tuple(chain(*by_check))
+        repeats = pose == last_pose
+        if repeats and robot.decision.refused == POSE_REPEATS:
+            return PoseDecision(refused=POSE_REPEATS, excess=robot.decision.excess)
+        findings_by_check = [
+            check.check_repeat(i) if repeats else check.check_pose(i, last_pose, pose)
+            for check in checks
+        ]
+        findings = tuple(chain(*findings_by_check))
         for finding in findings:  # the first that refuses gives the reason, all have seen the pose
             if isinstance(finding, Refuse):
                 return PoseDecision(None, finding.text, not repeats, findings, finding.excess)
@@ -531,20 +544,20 @@ class Guard:
                 robot.accept(decision.accepted, robot.read_ns)
         for decision in decisions:
             if decision is not None:
-                self._record(decision.findings)
+                self._apply(decision.findings)
 
-    def _accepted(self, frame: CameraFrame) -> AcceptedFrame:
+    def _combine_accepted(self, frame: CameraFrame) -> AcceptedFrame:
         """Combine a camera frame with the poses of it that the guard has accepted."""
         poses: list[Pose | None] = []
-        fresh: list[bool] = []
+        is_fresh: list[bool] = []
         times: list[int] = []
         for robot, pose in zip(self._robots, frame.poses, strict=True):
             in_frame = pose is not None and not robot.decision.refused
-            poses.append(robot.last)
-            fresh.append(in_frame and not robot.lost and not robot.hidden)
+            poses.append(robot.last_pose)
+            is_fresh.append(in_frame and not robot.lost and not robot.hidden)
             times.append(robot.last_ns)
         own_times = tuple(times) if frame.exposed_ns else ()
-        return AcceptedFrame(frame, tuple(poses), tuple(fresh), own_times)
+        return AcceptedFrame(frame, tuple(poses), tuple(is_fresh), own_times)
 
     # ---- a tick ----
 
@@ -558,9 +571,9 @@ class Guard:
             self._check_tracking()
         if not self._in_run:
             return
-        places = self._places(poses)  # without the robots that were lost just now
+        places = self._describe_places(poses)  # without the robots that were lost just now
         for check in self._checks:
-            self._record(check.tick(places))
+            self._apply(check.check_places(places))
             if not self._in_run:
                 return
 
@@ -572,18 +585,18 @@ class Guard:
         blame for these faults.
         """
         rules = self.rules
-        no_direction = undirected(rules, self._pace, now_ns)
-        no_frame = frameless(rules, self._stream.newest_ns, now_ns)
+        no_direction = check_direction(rules, self._pace, now_ns)
+        no_frame = check_frame_age(rules, self._stream.newest_ns, now_ns)
         if damaged > DAMAGED_MAX:
             excess = Excess("damaged frames", damaged, DAMAGED_MAX)
             self.abort(f"{damaged} damaged camera frames within a second", excess=excess)
         elif no_direction is not None:
-            late = f"{rules.limits.late_steps} control steps in a row were late"
-            silent = f"the controller gave no direction for {no_direction.value:.1f} s"
-            self.abort(f"{late}: {silent}", excess=no_direction)
+            late_text = f"{rules.limits.late_steps} control steps in a row were late"
+            silence_text = f"the controller gave no direction for {no_direction.value:.1f} s"
+            self.abort(f"{late_text}: {silence_text}", excess=no_direction)
         elif no_frame is not None:
-            text = self._stream.frameless_text(now_ns - self._stream.newest_ns)
-            self.abort(self._with_cause(text, now_ns), excess=no_frame)
+            reason = self._stream.describe_silence(now_ns - self._stream.newest_ns)
+            self.abort(self._add_explanation(reason, now_ns), excess=no_frame)
 
     def _check_tracking(self) -> None:
         """Handle robots that disobey their commands or are not tracked: lose them, or abort.
@@ -592,53 +605,55 @@ class Guard:
         untracked for `untracked_abort`, or is seen too rarely, it is lost. A run that may lose
         robots also loses a robot that does not move.
         """
-        rarely_ns = RARELY * self.rules.limits.untracked_abort * SECOND
+        rarely_ns = RARELY_FACTOR * self.rules.limits.untracked_abort * SECOND
         for i, robot in enumerate(self._robots):
             if robot.lost:
                 continue
             refusal = robot.decision
             may_stand = self.rules.goes_on and refusal.refused == DOES_NOT_MOVE
-            too_long = untracked(self.rules, i, robot.untracked_ns)
-            rarely_seen = overdue("tracking", robot.unseen_ns, rarely_ns, i)
+            too_long = check_tracking(self.rules, i, robot.untracked_ns)
+            rarely_seen = compare_age("tracking", robot.unseen_ns, rarely_ns, i)
             if refusal.disobeys and robot.hidden and not may_stand:
-                text = f"{robot.name} {refusal.refused}"
-                self.abort(text, suspect=i, excess=refusal.excess)
+                reason = f"{robot.name} {refusal.refused}"
+                self.abort(reason, suspect=i, excess=refusal.excess)
             elif too_long is not None:
                 self.lose_robot(i, robot.untracked_text, refusal.excess or too_long)
             elif rarely_seen is not None:
-                rarely = (
+                rarely_text = (
                     "is seen too rarely: too many frames are missing, or it is "
                     "missing in too many frames"
                 )
-                self.lose_robot(i, f"{robot.name} {rarely}", rarely_seen)
+                self.lose_robot(i, f"{robot.name} {rarely_text}", rarely_seen)
             if self.state is GuardState.ABORT:
                 return
 
-    def _pose_now(self, i: int, robot: RobotTrack) -> Pose | None:
+    def _predict_pose(self, i: int, robot: RobotTrack) -> Pose | None:
         """Return robot i's accepted pose at the time of the newest frame.
 
         An older pose is predicted to that time with the commands that were sent. The result is None
         if the robot is hidden or lost.
         """
-        pose = robot.last
+        pose = robot.last_pose
         if pose is None or not robot.tracked:
             return None
         newest = self._stream.newest
         own_times = newest is not None and bool(newest.exposed_ns)
         if not own_times or robot.untracked_ns <= 0:
             return pose
-        return self.drift.carried(i, pose, robot.last_ns, robot.untracked_ns)
+        return self.drift.predict_pose(i, pose, robot.last_ns, robot.untracked_ns)
 
-    def _places(self, poses: Sequence[Pose | None]) -> list[RobotPlace]:
+    def _describe_places(self, poses: Sequence[Pose | None]) -> list[RobotPlace]:
         """Describe where the robots are, given their `poses` (N,) at the newest frame."""
         places: list[RobotPlace] = []
         for robot, pose, speed in zip(self._robots, poses, self.rules.speeds, strict=True):
-            stands = robot.lost or not self._pace.ahead
-            way = 0.0 if stands else speed * self.rules.limits.reaction
-            places.append(RobotPlace(robot.last if robot.lost else pose, robot.lost, way))
+            stands_still = robot.lost or not self._pace.ahead
+            stopping_distance = 0.0 if stands_still else speed * self.rules.limits.reaction
+            places.append(
+                RobotPlace(robot.last_pose if robot.lost else pose, robot.lost, stopping_distance)
+            )
         return places
 
-    def _moving(self, now_ns: int) -> tuple[bool, ...]:
+    def _find_movable(self, now_ns: int) -> tuple[bool, ...]:
         """Decide which robots may move during a run, N entries.
 
         If robots can only be stopped together, all may move or none.
@@ -650,7 +665,7 @@ class Guard:
 
     # ---- findings ----
 
-    def _record(self, findings: Iterable[Finding]) -> None:
+    def _apply(self, findings: Iterable[Finding]) -> None:
         """Apply findings of the checks, up to the first abort."""
         for finding in findings:
             if self.state is GuardState.ABORT:
@@ -676,14 +691,14 @@ class Guard:
             self._warned.add(text)
             self._warnings.append(text)
 
-    def _with_cause(self, reason: str, now_ns: int) -> str:
+    def _add_explanation(self, reason: str, now_ns: int) -> str:
         """Extend a reason that blames a robot or the camera by another possible explanation.
 
         The explanation may be late control steps just before, or slow frames. The text then does
         not ask whether the robot was pushed.
         """
         late_ns = self._pace.late_ns
-        if late_ns is not None and now_ns - late_ns <= COMPARED_NS:
-            return BUSY + reason.removesuffix(PUSHED)
+        if late_ns is not None and now_ns - late_ns <= COMPARED_MAX_NS:
+            return BUSY_BEFORE + reason.removesuffix(PUSHED_QUESTION)
         slow_text = self._stream.slow_text
-        return reason.removesuffix(PUSHED) + slow_text if slow_text else reason
+        return reason.removesuffix(PUSHED_QUESTION) + slow_text if slow_text else reason

@@ -4,10 +4,10 @@ A device for other kinds of robots brings its own list.
 
     MotionCheck   do the commands of the last `delay` explain a pose?              Refuse, Moved
     DriftCheck    can wheels have caused the motion over the whole trial?          Abort
-    Places        does a robot leave the arena, enter an obstacle, touch another?  Abort
+    PlaceCheck    does a robot leave the arena, enter an obstacle, touch another?  Abort
 
-`Places` belongs to the guard's kernel (`lab.kernel`). The other two are statistical. In addition,
-the guard's `RobotTrack` checks whether a body is lifted, or jumps.
+`PlaceCheck` belongs to the guard's kernel (`lab.kernel`). The other two are statistical. In
+addition, the guard's `RobotTrack` checks whether a body is lifted, or jumps.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from tetractl.core.guard_check import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.kernel import Places
+from tetractl.lab.kernel import PlaceCheck
 from tetractl.lab.motion_check import MotionCheck
 
 
@@ -45,4 +45,4 @@ def robot_checks(rules: GuardRules) -> GuardChecks:
     """Create the checks for robots that stand still when they are stopped."""
     motion = MotionCheck(rules, rules.largest_error, rules.limits.wheel_error)
     drift = DriftCheck(rules, motion)
-    return GuardChecks((motion, drift, Places(rules)), drift)
+    return GuardChecks((motion, drift, PlaceCheck(rules)), drift)

@@ -20,7 +20,7 @@ from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Excess, Finding, RobotPlace, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.frames import AcceptedFrame
-from tetractl.lab.guard import FROZEN, Guard, GuardState, Ruling
+from tetractl.lab.guard import FRAME_REPEATS, Guard, GuardState, Ruling
 from tetractl.lab.guard_checks import ChecksOf, GuardChecks, robot_checks
 from tetractl.lab.guard_rules import GuardRules
 
@@ -33,7 +33,7 @@ Checks look back for this time.
 """
 
 
-class Act(StrEnum):
+class Action(StrEnum):
     """What a guard does about a fault, from the mildest action to the strongest."""
 
     REFUSES = "refuses a pose"
@@ -55,7 +55,7 @@ class Intervention:
     """
 
     t_ns: int
-    act: Act
+    act: Action
     check: str
     robot: str
     text: str
@@ -63,7 +63,7 @@ class Intervention:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sent:
+class SentCommand:
     """A transmission: its time, and the commanded speeds and turning rates of the robots."""
 
     sent_ns: int
@@ -90,18 +90,18 @@ class GuardObserver:
         self._checks_of = checks_of
         self._in_run = False
         self._watched_until_ns = 0
-        self._recent: deque[_Sent] = deque()
-        self._ahead = True
+        self._recent_commands: deque[SentCommand] = deque()
+        self._drives_ahead = True
         self._directed_ns = 0
-        self._renew()
+        self._replace_guard()
 
-    def _renew(self) -> None:
+    def _replace_guard(self) -> None:
         """Continue with a new guard, which has not seen any robot yet."""
         robots = len(self.rules.names)
         self._guard = Guard(self.rules, self._checks_of)
         self._guard.pass_preflight()
-        for sent in self._recent:
-            self._guard.note_transmission(sent.sent_ns, sent.speed, sent.turning)
+        for command in self._recent_commands:
+            self._guard.note_transmission(command.sent_ns, command.speed, command.turning)
         self._refused = ("",) * robots
         self._moving = (True,) * robots
 
@@ -120,12 +120,12 @@ class GuardObserver:
     def note_direction(self, now_ns: int, ahead: bool = True) -> None:
         """Record that the controller gave a direction; see `Guard.note_direction`."""
         self._directed_ns = now_ns
-        self._ahead = ahead
+        self._drives_ahead = ahead
         self._guard.note_direction(now_ns, ahead)
 
-    def note_step(self, now_ns: int, missed: bool) -> None:
+    def record_step(self, now_ns: int, was_late: bool) -> None:
         """Record whether a control step that ended at `now_ns` [ns] missed its deadline."""
-        self._guard.note_step(missed)
+        self._guard.record_step(was_late)
         self._record_end(now_ns)
 
     def note_transmission(
@@ -138,14 +138,14 @@ class GuardObserver:
             speed: The robots' speeds (N,) [length unit/s].
             turning: Their turning rates (N,) [rad/s].
         """
-        self._recent.append(_Sent(now_ns, speed, turning))
-        while self._recent[0].sent_ns < now_ns - REMEMBERED_NS:
-            self._recent.popleft()
+        self._recent_commands.append(SentCommand(now_ns, speed, turning))
+        while self._recent_commands[0].sent_ns < now_ns - REMEMBERED_NS:
+            self._recent_commands.popleft()
         self._guard.note_transmission(now_ns, speed, turning)
 
-    def replace_robot(self, i: int) -> None:
+    def replace_robot(self, robot_index: int) -> None:
         """Continue with another body in place of a lost robot."""
-        self._guard.replace_robot(i)
+        self._guard.replace_robot(robot_index)
 
     def check_frame(self, now_ns: int, frame: CameraFrame) -> None:
         """Pass a camera frame to the guard, and record the poses that the guard refuses.
@@ -156,7 +156,7 @@ class GuardObserver:
         is_new = self._guard.state is GuardState.READY
         if self._in_run and is_new and self._guard.tracks_all:
             self._guard.start_run(now_ns)
-            self._guard.note_direction(self._directed_ns, self._ahead)
+            self._guard.note_direction(self._directed_ns, self._drives_ahead)
             self._watched_until_ns = now_ns
         if self._in_run:
             self._record_refusals(now_ns)
@@ -178,7 +178,9 @@ class GuardObserver:
         for i, text in enumerate(refused):
             if text and not self._refused[i]:
                 excess = self._guard.refusal_excess(i)
-                self._note(now_ns, Act.REFUSES, i, text, excess, check_of(text, excess))
+                self._add_intervention(
+                    now_ns, Action.REFUSES, i, text, excess, name_check(text, excess)
+                )
         self._refused = refused
 
     def _record_stops(self, now_ns: int, ruling: Ruling) -> None:
@@ -187,11 +189,17 @@ class GuardObserver:
                 text = self._refused[i]
                 if text:
                     excess = self._guard.refusal_excess(i)
-                    self._note(now_ns, Act.STOPS, i, text, excess, check_of(text, excess))
-                elif self._guard.hides(i):
-                    self._note(now_ns, Act.STOPS, i, "it is not tracked", None, "tracking")
+                    self._add_intervention(
+                        now_ns, Action.STOPS, i, text, excess, name_check(text, excess)
+                    )
+                elif self._guard.is_hidden(i):
+                    self._add_intervention(
+                        now_ns, Action.STOPS, i, "it is not tracked", None, "tracking"
+                    )
                 else:
-                    self._note(now_ns, Act.STOPS, i, "no new frame came", None, "frame")
+                    self._add_intervention(
+                        now_ns, Action.STOPS, i, "no new frame came", None, "frame"
+                    )
         self._moving = ruling.moving
 
     def _record_end(self, now_ns: int) -> None:
@@ -199,14 +207,16 @@ class GuardObserver:
         if guard.state is not GuardState.ABORT:
             return
         excess = guard.excess
-        robot = excess.robot if excess is not None else None
-        self._note(now_ns, Act.ENDS, robot, guard.reason, excess, check_of(guard.reason, excess))
-        self._renew()
+        robot_index = excess.robot if excess is not None else None
+        self._add_intervention(
+            now_ns, Action.ENDS, robot_index, guard.reason, excess, name_check(guard.reason, excess)
+        )
+        self._replace_guard()
 
-    def _note(
+    def _add_intervention(
         self,
         t_ns: int,
-        act: Act,
+        act: Action,
         robot: int | None,
         text: str,
         excess: Excess | None,
@@ -216,7 +226,7 @@ class GuardObserver:
         self.interventions.append(Intervention(t_ns, act, check, name, text, excess))
 
 
-def check_of(text: str, excess: Excess | None) -> str:
+def name_check(text: str, excess: Excess | None) -> str:
     """Return the name of the guard check that gave a reason.
 
     It is the name in `excess` if there is one. Otherwise the text decides: "frozen" for a repeated
@@ -224,7 +234,7 @@ def check_of(text: str, excess: Excess | None) -> str:
     """
     if excess is not None:
         return excess.check
-    if text == FROZEN:
+    if text == FRAME_REPEATS:
         return "frozen"
     return "height" if text.startswith("its body ") else "other"
 
@@ -232,8 +242,8 @@ def check_of(text: str, excess: Excess | None) -> str:
 # ---- in a run ----
 
 
-class Unheeded(GuardCheck):
-    """Runs a statistical check, but ignores most of its findings, so that it only observes.
+class ObservingCheck(GuardCheck):
+    """A wrapper of a statistical check that ignores most findings, so that it only observes.
 
     Three kinds of findings still count: warnings; motion in a pause, because robots have to stand
     still then; and a pose that repeats to the last bit, because it is not a new measurement.
@@ -250,51 +260,53 @@ class Unheeded(GuardCheck):
         """Let the wrapped check forget a lost robot, because another body replaces it."""
         self._check.replace(robot)
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Pass a transmission on to the wrapped check; see `GuardCheck.sent`."""
-        self._check.sent(now_ns, speed, turning)
+    def record_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Pass a transmission on to the wrapped check; see `GuardCheck.record_transmission`."""
+        self._check.record_transmission(now_ns, speed, turning)
 
-    def exposed(self, times: tuple[int, ...]) -> None:
+    def record_exposures(self, times: tuple[int, ...]) -> None:
         """Pass the times at which a frame's poses were measured on to the wrapped check [ns]."""
-        self._check.exposed(times)
+        self._check.record_exposures(times)
 
-    def repeat(self, robot: int) -> Iterable[Finding]:
+    def check_repeat(self, robot: int) -> Iterable[Finding]:
         """Return the wrapped check's findings about a pose that repeats to the last bit."""
-        return self._check.repeat(robot)
+        return self._check.check_repeat(robot)
 
-    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Return the wrapped check's findings about a pose in a pause; see `GuardCheck.pause`."""
-        return self._check.pause(robot, before, pose, now_ns)
+    def check_pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+        """Return the wrapped check's findings in a pause; see `GuardCheck.check_pause`."""
+        return self._check.check_pause(robot, before, pose, now_ns)
 
-    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Return only the wrapped check's warnings about a pose; see `GuardCheck.pose`.
+    def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
+        """Return only the wrapped check's warnings about a pose; see `GuardCheck.check_pose`.
 
         Any other finding restarts the check at this pose.
         """
-        for finding in self._check.pose(robot, before, pose):
+        for finding in self._check.check_pose(robot, before, pose):
             if isinstance(finding, Warn):
                 yield finding
             else:
                 self._check.replace(robot)
 
-    def frame(
+    def check_frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
-        """Return only the wrapped check's warnings about a frame; see `GuardCheck.frame`."""
-        for finding in self._check.frame(now_ns, times, poses):
+        """Return only the wrapped check's warnings about a frame; see `GuardCheck.check_frame`."""
+        for finding in self._check.check_frame(now_ns, times, poses):
             if isinstance(finding, Warn):
                 yield finding
 
-    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Return only the wrapped check's warnings about places; see `GuardCheck.tick`."""
-        for finding in self._check.tick(robots):
+    def check_places(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
+        """Return only the wrapped check's warnings about places; see `GuardCheck.check_places`."""
+        for finding in self._check.check_places(robots):
             if isinstance(finding, Warn):
                 yield finding
 
 
-def unheeded(checks: GuardChecks) -> GuardChecks:
+def observe_only(checks: GuardChecks) -> GuardChecks:
     """Wrap the statistical checks of a list, so that they only observe."""
-    acting = [Unheeded(check) if check.statistical else check for check in checks.checks]
+    acting = [ObservingCheck(check) if check.statistical else check for check in checks.checks]
     return replace(checks, checks=tuple(acting))
 
 
@@ -305,7 +317,7 @@ class ObservingGuard(Guard):
     """
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
-        super().__init__(rules, lambda rules: unheeded(checks_of(rules)))
+        super().__init__(rules, lambda rules: observe_only(checks_of(rules)))
         self.checks_of = checks_of
         self._observer = GuardObserver(rules, checks_of)
         self._reported = 0  # number of interventions that were looked at
@@ -332,10 +344,10 @@ class ObservingGuard(Guard):
         super().note_transmission(now_ns, speed, turning)
         self._observer.note_transmission(now_ns, speed, turning)
 
-    def replace_robot(self, i: int) -> None:
+    def replace_robot(self, robot_index: int) -> None:
         """Continue with another body in place of a lost robot; see `Guard.replace_robot`."""
-        super().replace_robot(i)
-        self._observer.replace_robot(i)
+        super().replace_robot(robot_index)
+        self._observer.replace_robot(robot_index)
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame, also with the observing guard; see `Guard.check_frame`."""
@@ -347,12 +359,12 @@ class ObservingGuard(Guard):
         """Decide which robots may move, with warnings of the observer; see `Guard.decide`."""
         ruling = super().decide(now_ns, damaged, failure)
         self._observer.decide(now_ns)
-        new = self._observer.interventions[self._reported :]
-        self._reported += len(new)
+        interventions = self._observer.interventions[self._reported :]
+        self._reported += len(interventions)
         warnings = [
-            f"observed: {describe(it)}"
-            for it in new
-            if it.act is Act.ENDS and it.check in STATISTICAL
+            f"observed: {describe_intervention(it)}"
+            for it in interventions
+            if it.act is Action.ENDS and it.check in STATISTICAL
         ]
         return replace(ruling, warnings=(*ruling.warnings, *warnings))
 
@@ -362,7 +374,7 @@ def build_guard(rules: GuardRules, checks_of: ChecksOf = robot_checks) -> Guard:
     return (ObservingGuard if rules.limits.observe else Guard)(rules, checks_of)
 
 
-def describe(intervention: Intervention) -> str:
+def describe_intervention(intervention: Intervention) -> str:
     """Describe in a sentence what a check would have done, with its value and its limit."""
     excess = intervention.excess
     text = f"the {intervention.check} check would have ended the run: {intervention.text}"

@@ -49,14 +49,14 @@ from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 from tetractl.tools.worker import WAITING_MAX, drained
 
-IDLE_S = 0.01
+IDLE_STEP_S = 0.01
 """Maximum time between two steps if no frame arrives [s]."""
-HOLD_S = 0.25
+HOLD_TIMEOUT_S = 0.25
 """Time for which `hold` and `between_steps` wait for the loop's step to end [s].
 
 Chosen, not measured.
 """
-STOP_S = 1.0
+STOP_TIMEOUT_S = 1.0
 """Time for which `stop` waits for the loop's step to end [s].
 
 It is longer than HOLD_S, because stops that are sent without waiting may come between the bytes of
@@ -114,7 +114,7 @@ class InnerLoop:
         self._camera = camera
         self._actuator = actuator
         self._clock = clock
-        self._hearer = camera if isinstance(camera, HearsDirections) else None
+        self._direction_listener = camera if isinstance(camera, HearsDirections) else None
         self._wake = wake
         self._emergency = emergency
         self._lock = threading.Lock()
@@ -158,12 +158,12 @@ class InnerLoop:
             guard.start_run(self._clock.now())
             guard.note_direction(self._clock.now(), isinstance(action, Steer))
             self._held = HeldAction(action)
-            sent = self._step_safely()
-            if sent is None:
+            transmission = self._step_safely()
+            if transmission is None:
                 guard.abort("the guard lets no robot be steered")
-            if sent is None or guard.state is GuardState.ABORT:
+            if transmission is None or guard.state is GuardState.ABORT:
                 raise AbortError(guard.reason)
-            return sent
+            return transmission
 
     @contextmanager
     def between_steps(self) -> Iterator[Guard]:
@@ -174,7 +174,7 @@ class InnerLoop:
         Raises:
             AbortError: If the loop stays within a step for too long.
         """
-        with self._locked(HOLD_S) as is_locked:
+        with self._hold_lock(HOLD_TIMEOUT_S) as is_locked:
             if not is_locked:
                 self.guard.abort("the inner loop did not answer")
                 raise AbortError(self.guard.reason)
@@ -199,7 +199,7 @@ class InnerLoop:
 
         It never raises. The result is None if no stop could be sent.
         """
-        with self._locked(STOP_S) as is_locked:
+        with self._hold_lock(STOP_TIMEOUT_S) as is_locked:
             # without the lock, too: a step that ends after all goes on with stops
             self._held = None
             self.idle = None
@@ -209,7 +209,7 @@ class InnerLoop:
         if not is_locked:
             return self._stop_past_thread()
         while self._stops_left:
-            with self._locked(STOP_S) as is_locked:
+            with self._hold_lock(STOP_TIMEOUT_S) as is_locked:
                 if not is_locked:
                     return self._stop_past_thread()
                 self._step_safely()
@@ -223,15 +223,15 @@ class InnerLoop:
         Returns:
             The first stop since `stop` was called. None if no stop could be sent.
         """
-        first = self._first_stop
+        first_stop = self._first_stop
         for _ in range(STOPS):
             # read here, as the step that hangs does not read the operator's key
             emergency = self.guard.emergency or self._emergency.is_set()
             with suppress(Exception, SystemExit):
-                sent = self._actuator.stop(emergency=emergency)
-                first = first or sent
+                stop = self._actuator.stop(emergency=emergency)
+                first_stop = first_stop or stop
             self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
-        return first
+        return first_stop
 
     def sent(self) -> list[Transmission]:
         """Return what was transmitted to the robots since the last call, oldest first."""
@@ -259,25 +259,25 @@ class InnerLoop:
             self._step_safely()
 
     def step_if_due(self) -> None:
-        """Make a step if one is due, at a frame or every `IDLE_S`.
+        """Make a step if one is due, at a frame or every `IDLE_STEP_S`.
 
         Call this if the loop has no thread.
         """
-        now = self._clock.now()
-        if self._wake.is_set() or now >= self._step_ns:
+        now_ns = self._clock.now()
+        if self._wake.is_set() or now_ns >= self._step_ns:
             self._wake.clear()
-            self._step_ns = now + round(IDLE_S * SECOND)
+            self._step_ns = now_ns + round(IDLE_STEP_S * SECOND)
             self.step()
 
     def _step_until_closed(self) -> None:
         """Make steps until the loop is closed. This runs in the loop's thread."""
         while not self._closing.is_set():
-            self._wake.wait(IDLE_S)
+            self._wake.wait(IDLE_STEP_S)
             self._wake.clear()
             self.step()
 
     @contextmanager
-    def _locked(self, timeout_s: float) -> Iterator[bool]:
+    def _hold_lock(self, timeout_s: float) -> Iterator[bool]:
         """Hold the lock during the `with` block; yield False if it is not free in time."""
         locked = self._lock.acquire(timeout=timeout_s)
         try:
@@ -296,13 +296,13 @@ class InnerLoop:
             return self._check_and_transmit()
         except (Exception, SystemExit) as error:
             reason = error.message if isinstance(error, AbortError) else text_of(error)
-            now = self._clock.now()
+            now_ns = self._clock.now()
             self.guard.abort(reason)
-            self._begin_stops_of_abort(now)
-            self._obey_operator(now)  # here too, as every step may fail before it
+            self._begin_stops_of_abort(now_ns)
+            self._obey_operator(now_ns)  # here too, as every step may fail before it
             if self._stops_left:  # here, as the next step may fail before its stop
                 with suppress(Exception, SystemExit):
-                    self._repeat_stop(now)
+                    self._repeat_stop(now_ns)
             return None
 
     def _check_and_transmit(self) -> Transmission | None:
@@ -311,24 +311,24 @@ class InnerLoop:
         Returns:
             The transmission of the held action. None if it was not sent.
         """
-        now = self._clock.now()
-        self.guard.check_awake(now)
+        now_ns = self._clock.now()
+        self.guard.check_awake(now_ns)
         self._take_frames()
-        self._obey_operator(now)
+        self._obey_operator(now_ns)
         failure: object = self._actuator.failure
         if not isinstance(failure, str | None):
             raise WrongValueError("an actuator", "a `failure` that is neither a string nor None")
-        ruling = self.guard.decide(now, self._camera.damaged, failure)
-        self._warnings.extend((now, warning) for warning in ruling.warnings)
+        ruling = self.guard.decide(now_ns, self._camera.damaged, failure)
+        self._warnings.extend((now_ns, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT:
-            self._begin_stops_of_abort(now)
+            self._begin_stops_of_abort(now_ns)
         if self._stops_left:
-            self._repeat_stop(now)
+            self._repeat_stop(now_ns)
             self.guard.name_cause(self.frames)  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
-            return self._send_held(self._held, ruling, now)
+            return self._send_held(self._held, ruling, now_ns)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
-            self._send_idle(self.idle(now), ruling, now)
+            self._send_idle(self.idle(now_ns), ruling, now_ns)
         return None
 
     def _take_frames(self) -> None:
@@ -337,110 +337,118 @@ class InnerLoop:
         Raises WrongValueError for a frame that no log can hold.
         """
         for frame in self._camera.frames():
-            fault = frame_fault(frame, len(self.guard.rules.names))
+            fault = describe_frame_fault(frame, len(self.guard.rules.names))
             if fault:
                 raise WrongValueError("a camera", fault)
             accepted = self.guard.check_frame(frame)
             if accepted is not None:
                 self.frames.append(accepted)
 
-    def _obey_operator(self, now: int) -> None:
+    def _obey_operator(self, now_ns: int) -> None:
         """Start the stops of an emergency once, even after an abort, so that devices latch them."""
         if self._emergency.is_set() and not self._operator_obeyed:
             self._operator_obeyed = True
             self.guard.abort("emergency stop by the operator", emergency=True)
-            self._begin_stops(now)
+            self._begin_stops(now_ns)
 
     # ---- transmissions ----
 
-    def _begin_stops(self, now: int) -> None:
+    def _begin_stops(self, now_ns: int) -> None:
         """Plan to send a stop STOPS times, the first time at once."""
         self._stops_left = STOPS
-        self._transmit_ns = now
+        self._transmit_ns = now_ns
 
-    def _begin_stops_of_abort(self, now: int) -> None:
+    def _begin_stops_of_abort(self, now_ns: int) -> None:
         """Plan to send the stops of an aborted run, unless that has been done."""
         if not self._abort_stops_begun:
             self._abort_stops_begun = True
-            self._begin_stops(now)
+            self._begin_stops(now_ns)
 
-    def _repeat_stop(self, now: int) -> None:
+    def _repeat_stop(self, now_ns: int) -> None:
         """Send the next of the scheduled stops if it is due."""
-        if now < self._transmit_ns:
+        if now_ns < self._transmit_ns:
             return
-        self._transmit_ns = now + STOP_GAP_NS
+        self._transmit_ns = now_ns + STOP_GAP_NS
         self._stops_left -= 1
         try:
-            sent = self._actuator.stop(emergency=self.guard.emergency)
-            self._note(sent)
+            stop = self._actuator.stop(emergency=self.guard.emergency)
+            self._record_transmission(stop)
             if self._first_stop is None:
-                self._first_stop = sent
+                self._first_stop = stop
         except AbortError as error:  # robots at other ports may hear it, and need the rest, too
             self.guard.abort(error.message)
 
-    def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:
+    def _send_held(self, held: HeldAction, ruling: Ruling, now_ns: int) -> Transmission | None:
         """Send the held action if the period has passed, the action is new, or a robot must stop.
 
         Returns:
             The transmission. None if nothing was sent.
         """
-        if held.moving is not None and now < self._transmit_ns:
-            pairs = zip(held.moving, ruling.moving, strict=True)
-            if not any(moved and not may_move for moved, may_move in pairs):
+        if held.moving is not None and now_ns < self._transmit_ns:
+            old_and_new = zip(held.moving, ruling.moving, strict=True)
+            if not any(moved and not may_move for moved, may_move in old_and_new):
                 return None
         if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
             sampled_ns = 0 if newest is None else newest.frame.sampled_ns
-            sent = self._actuator.send(held.action, ruling.poses, ruling.moving, sampled_ns)
+            transmission = self._actuator.send(held.action, ruling.poses, ruling.moving, sampled_ns)
         else:  # robots that share a field are held still together, by a stop
-            sent = self._actuator.stop()
-        self._note(sent)
-        self._transmit_ns = next_due_ns(self._transmit_ns, sent.sent_ns, self._actuator.period_ns)
+            transmission = self._actuator.stop()
+        self._record_transmission(transmission)
+        self._transmit_ns = next_due_ns(
+            self._transmit_ns, transmission.sent_ns, self._actuator.period_ns
+        )
         held.moving = ruling.moving
-        return sent
+        return transmission
 
-    def _send_idle(self, direction: float, ruling: Ruling, now: int) -> None:
+    def _send_idle(self, direction: float, ruling: Ruling, now_ns: int) -> None:
         """Send a direction [rad] to all robots before a run; send a stop if frames are missing.
 
         Something is sent at most once per period of the actuator.
         """
-        if now < self._transmit_ns:
+        if now_ns < self._transmit_ns:
             return
-        self._transmit_ns = now + self._actuator.period_ns
+        self._transmit_ns = now_ns + self._actuator.period_ns
         newest = self.frames.newest
-        lost_ns = self.guard.rules.limits.stream_lost * SECOND
-        if newest is None or now - newest.frame.received_ns > lost_ns:
-            self._pass_on(self._actuator.stop())
+        age_max_ns = self.guard.rules.limits.stream_lost * SECOND
+        if newest is None or now_ns - newest.frame.received_ns > age_max_ns:
+            self._report_to_camera(self._actuator.stop())
             return
         all_move = (True,) * len(ruling.poses)
         sampled_ns = newest.frame.sampled_ns
-        sent = self._actuator.send(Steer(direction), ruling.poses, all_move, sampled_ns)
-        self._pass_on(sent)
+        transmission = self._actuator.send(Steer(direction), ruling.poses, all_move, sampled_ns)
+        self._report_to_camera(transmission)
         # when a run starts, cells still turn by these directions
-        self.guard.note_transmission(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
+        self.guard.note_transmission(
+            transmission.sent_ns, transmission.speed.tolist(), transmission.turning.tolist()
+        )
 
-    def _pass_on(self, sent: Transmission) -> None:
+    def _report_to_camera(self, transmission: Transmission) -> None:
         """Report a transmission to a camera that identifies robots by their response."""
-        if self._hearer is not None:
-            self._hearer.steered(sent.direction, sent.sent_ns)
+        if self._direction_listener is not None:
+            self._direction_listener.steered(transmission.direction, transmission.sent_ns)
 
-    def _note(self, sent: Transmission) -> None:
+    def _record_transmission(self, transmission: Transmission) -> None:
         """Record a transmission, and notify the camera and the guard of it."""
-        fault = transmission_fault(sent, len(self.guard.rules.names), self._clock.now())
+        fault = describe_transmission_fault(
+            transmission, len(self.guard.rules.names), self._clock.now()
+        )
         if fault:
             raise WrongValueError("an actuator", fault)
-        self.last = sent
-        if sent.speed.any() or sent.turning.any():
-            self.driven_ns = sent.sent_ns
-        self._pass_on(sent)
-        self._sent.append(sent)
-        self.guard.note_transmission(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
+        self.last = transmission
+        if transmission.speed.any() or transmission.turning.any():
+            self.driven_ns = transmission.sent_ns
+        self._report_to_camera(transmission)
+        self._sent.append(transmission)
+        self.guard.note_transmission(
+            transmission.sent_ns, transmission.speed.tolist(), transmission.turning.tolist()
+        )
 
 
 # ---- what devices may return ----
 
 
-def frame_fault(frame: CameraFrame, robots: int) -> str:
+def describe_frame_fault(frame: CameraFrame, robots: int) -> str:
     """Return a message about what makes a camera's frame of N robots unusable.
 
     The message is empty if nothing is wrong.
@@ -450,8 +458,8 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
     is_loggable = (
         len(frame.poses) == robots
         and len(frame.exposed_ns) in (0, robots)
-        and all(_all_small((pose.x, pose.y, pose.heading)) for pose in poses)
-        and all(_is_whole(number) for number in numbers)
+        and all(_are_loggable((pose.x, pose.y, pose.heading)) for pose in poses)
+        and all(_is_loggable_integer(number) for number in numbers)
     )
     if not is_loggable:
         return "a frame that cannot be logged: a number is missing, not finite or too large"
@@ -462,38 +470,40 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
     return ""
 
 
-def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
+def describe_transmission_fault(transmission: object, robots: int, now_ns: int) -> str:
     """Return a message about what is wrong with a transmission that an actuator reports.
 
     The message is empty if nothing is wrong.
 
     Args:
-        sent: The value that the actuator returned. It should be a `Transmission`.
+        transmission: The value that the actuator returned. It should be a `Transmission`.
         robots: Number of robots.
         now_ns: The present time [ns].
     """
     unloggable = (
         "a transmission that cannot be logged: a number is missing, not finite or too large"
     )
-    if not isinstance(sent, Transmission):
+    if not isinstance(transmission, Transmission):
         return unloggable
-    if not _is_whole(sent.sent_ns) or len(sent.delivered) != robots:
+    if not _is_loggable_integer(transmission.sent_ns) or len(transmission.delivered) != robots:
         return unloggable
-    for speeds in (sent.speed, sent.turning, sent.left, sent.right):
+    for speeds in (transmission.speed, transmission.turning, transmission.left, transmission.right):
         if speeds is not None and not (
-            np.shape(speeds) == (robots,) and _all_small(np.asarray(speeds))
+            np.shape(speeds) == (robots,) and _are_loggable(np.asarray(speeds))
         ):
             return unloggable
-    if not 0 <= sent.sent_ns <= now_ns:
-        return f"a transmission sent at {sent.sent_ns} ns, not between 0 and now, {now_ns} ns"
+    if not 0 <= transmission.sent_ns <= now_ns:
+        return (
+            f"a transmission sent at {transmission.sent_ns} ns, not between 0 and now, {now_ns} ns"
+        )
     return ""
 
 
-def _is_whole(number: object) -> bool:
+def _is_loggable_integer(number: object) -> bool:
     """Check whether a value is an integer that fits into a log."""
     return isinstance(number, int) and abs(number) < NEVER
 
 
-def _all_small(values: Iterable[float]) -> bool:
+def _are_loggable(values: Iterable[float]) -> bool:
     """Check whether all values are numbers that fit into a log."""
     return all(abs(value) <= POSE_MAX for value in values)

@@ -36,7 +36,7 @@ from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.model.motion.wheel_equations import rolled
 
-FASTER = 2.0
+SPEED_FACTOR = 2.0
 """Multiple of a robot's speed and turning limits above which its pose counts as a jump."""
 JUMP_HEADING = 0.7
 """Difference of headings that is always allowed [rad], as `jump_mm` is for positions."""
@@ -46,8 +46,8 @@ JUMP_HEADING = 0.7
 
 
 @dataclass(slots=True)
-class Pace:
-    """When this program last made a step, and when the controller last gave a direction.
+class ControlPace:
+    """The times of this program's last step and of the controller's last direction.
 
     Attributes:
         ticked_ns: Time of the last step [ns]. None before the first.
@@ -60,27 +60,32 @@ class Pace:
 
     ticked_ns: int | None = None
     directed_ns: int = 0
-    ahead: bool = True  # whether robots drive; otherwise they turn on the spot
-    late_steps: int = 0  # in a row
-    late_ns: int | None = None  # the last control step that was late
-    driven: bool = False  # whether a run has begun, after which no robot is carried
+    ahead: bool = True
+    late_steps: int = 0
+    late_ns: int | None = None
+    driven: bool = False
 
 
-def overdue(rule: str, age_ns: float, limit_ns: float, robot: int | None = None) -> Excess | None:
-    """Compare an age with its limit, and return the excess. None if the limit is not reached.
+def compare_age(
+    rule: str, age_ns: float, limit_ns: float, robot: int | None = None
+) -> Excess | None:
+    """Compare an age with its limit.
 
     Args:
         rule: Name of the rule.
         age_ns: The age [ns].
         limit_ns: The limit [ns].
         robot: Index of the robot. None if the rule concerns all.
+
+    Returns:
+        The age and its limit. None if the limit is not reached.
     """
     if age_ns < limit_ns:
         return None
     return Excess(rule, age_ns / SECOND, limit_ns / SECOND, "s", robot)
 
 
-def asleep(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
+def check_program(rules: GuardRules, pace: ControlPace, now_ns: int) -> Excess | None:
     """Check whether this program was suspended, so that it has decided nothing for too long.
 
     Args:
@@ -92,10 +97,10 @@ def asleep(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
         The time without a step and its limit. None if it is within the limit.
     """
     age_ns = 0 if pace.ticked_ns is None else now_ns - pace.ticked_ns
-    return overdue("program", age_ns, rules.limits.stream_lost * SECOND)
+    return compare_age("program", age_ns, rules.limits.stream_lost * SECOND)
 
 
-def undirected(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
+def check_direction(rules: GuardRules, pace: ControlPace, now_ns: int) -> Excess | None:
     """Check whether robots that drive ahead have had no new direction for too long.
 
     Args:
@@ -108,10 +113,10 @@ def undirected(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
     """
     if not pace.ahead:
         return None
-    return overdue("direction", now_ns - pace.directed_ns, rules.silence_ns)
+    return compare_age("direction", now_ns - pace.directed_ns, rules.silence_ns)
 
 
-def frameless(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
+def check_frame_age(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
     """Check whether the newest camera frame is too old, so that the run has to end.
 
     Args:
@@ -122,10 +127,10 @@ def frameless(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
     Returns:
         The age of the frame and its limit. None if it is within the limit.
     """
-    return overdue("frame", now_ns - frame_ns, rules.limits.stream_lost * SECOND)
+    return compare_age("frame", now_ns - frame_ns, rules.limits.stream_lost * SECOND)
 
 
-def untracked(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
+def check_tracking(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
     """Check whether a robot's last accepted pose is too old, so that the run has to end.
 
     Args:
@@ -136,10 +141,10 @@ def untracked(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
     Returns:
         The age and its limit. None if it is within the limit.
     """
-    return overdue("tracking", age_ns, rules.limits.untracked_abort * SECOND, robot)
+    return compare_age("tracking", age_ns, rules.limits.untracked_abort * SECOND, robot)
 
 
-def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
+def may_move(rules: GuardRules, pace: ControlPace, frame_ns: int, now_ns: int) -> bool:
     """Check whether frames and directions are recent enough for any robot to move in a run.
 
     A plan for robots that turn on the spot may take long. They wait for it, as in a pause.
@@ -158,7 +163,9 @@ def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
 # ---- speed ----
 
 
-def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: int) -> Excess | None:
+def check_speed(
+    rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: int
+) -> Excess | None:
     """Check whether a robot cannot have come from an earlier pose to a pose within a time.
 
     Args:
@@ -172,11 +179,11 @@ def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: in
         The distance or the angle that is too large. None if both are possible.
     """
     dt_s = dt_ns / SECOND
-    reach = FASTER * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm
+    reach = SPEED_FACTOR * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm
     distance = pose.distance_to(earlier)
     if distance > reach:
         return Excess("speed", distance * rules.mm, reach * rules.mm, "mm", robot)
-    reach_rad = FASTER * rules.turning[robot] * dt_s + JUMP_HEADING
+    reach_rad = SPEED_FACTOR * rules.turning[robot] * dt_s + JUMP_HEADING
     angle = abs(math.remainder(pose.heading - earlier.heading, math.tau))
     if angle > reach_rad:
         return Excess("speed", angle, reach_rad, "rad", robot)
@@ -186,8 +193,8 @@ def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: in
 # ---- arena, obstacle, separation ----
 
 
-class Places(GuardCheck):
-    """Aborts a run before a robot leaves the arena, enters an obstacle or touches another robot.
+class PlaceCheck(GuardCheck):
+    """A check that ends a run before a robot leaves the arena, or touches an obstacle or a robot.
 
     A lost robot is assumed to stand at its last pose.
     """
@@ -197,42 +204,44 @@ class Places(GuardCheck):
         self._largest_error = rules.largest_error
         self._speeds: Sequence[float] = (0.0,) * len(rules.names)  # of the last transmission
         self._turning: Sequence[float] = (0.0,) * len(rules.names)
-        self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
+        self._minimum_depths: dict[int, float] = {}  # each robot's least depth in obstacles so far
 
     def start(self) -> None:
         """Forget how deep robots were in obstacles, because a new run starts."""
-        self._least.clear()
+        self._minimum_depths.clear()
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record that an action was transmitted to the robots; see `GuardCheck.sent`."""
+    def record_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Record a transmission; see `GuardCheck.record_transmission`."""
         self._speeds = speed
         self._turning = turning
 
-    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
+    def check_places(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
         """Yield an abort for each robot that will leave the arena or touch something.
 
         Robots are tested where they are and where they would be after their reaction time. A robot
         that is outside the arena may come back. Robots without a pose are left out.
         """
         arena = self._rules.arena
-        now: dict[str, Pose] = {}
-        then: dict[str, Pose] = {}
+        poses: dict[str, Pose] = {}
+        predicted: dict[str, Pose] = {}
         for i, robot in enumerate(robots):
             name = self._rules.names[i]
             pose = robot.pose
             if pose is None:
                 continue
-            now[name] = pose
-            then[name] = driven(pose, robot.way)
-            if outside(arena, then[name]) > outside(arena, pose):
-                excess = beyond_edge(self._rules, i, then[name])
+            poses[name] = pose
+            predicted[name] = drive_ahead(pose, robot.way)
+            if distance_outside(arena, predicted[name]) > distance_outside(arena, pose):
+                excess = compute_edge_excess(self._rules, i, predicted[name])
                 yield Abort(f"{name} is about to leave the arena", excess=excess)
-            excess = self.entered(i, pose)
+            excess = self.check_obstacles(i, pose)
             if excess is not None:
                 yield Abort(f"{name} is about to enter an obstacle", excess=excess)
-        yield from too_close(now, then, self._rules)
+        yield from find_too_close(poses, predicted, self._rules)
 
-    def entered(self, i: int, pose: Pose) -> Excess | None:
+    def check_obstacles(self, robot: int, pose: Pose) -> Excess | None:
         """Check whether robot i is in an obstacle, or will be after its reaction time.
 
         The prediction uses the rates of the last transmission. A robot that was in an obstacle when
@@ -243,43 +252,43 @@ class Places(GuardCheck):
             The depth, now or after the reaction, and its limit. None if it is within the limit.
         """
         noise = self._largest_error
-        depth = self._depth(pose.x, pose.y)
-        least = self._least[i] = min(depth, self._least.get(i, depth))
+        depth = self._compute_depth(pose.x, pose.y)
+        minimum = self._minimum_depths[robot] = min(depth, self._minimum_depths.get(robot, depth))
         limit = 0.0
-        if least > -noise:
-            limit = max(least, 0.0) + noise
+        if minimum > -noise:
+            limit = max(minimum, 0.0) + noise
         elif depth <= limit:
-            depth = self._depth_then(i, pose)
+            depth = self._predict_depth(robot, pose)
         if depth <= limit:
             return None
-        return Excess("obstacle", depth * self._rules.mm, limit * self._rules.mm, "mm", i)
+        return Excess("obstacle", depth * self._rules.mm, limit * self._rules.mm, "mm", robot)
 
-    def _depth_then(self, i: int, pose: Pose) -> float:
+    def _predict_depth(self, robot: int, pose: Pose) -> float:
         """Predict how deep robot i will be in an obstacle after its reaction time.
 
         The depth is in the spec's length unit, and negative outside.
         """
         reaction_s = self._rules.limits.reaction
-        turned = self._turning[i] * reaction_s
-        dx, dy = rolled(pose.heading, turned, self._speeds[i] * reaction_s)
-        return self._depth(pose.x + dx, pose.y + dy)
+        turned = self._turning[robot] * reaction_s
+        dx, dy = rolled(pose.heading, turned, self._speeds[robot] * reaction_s)
+        return self._compute_depth(pose.x + dx, pose.y + dy)
 
-    def _depth(self, x: float, y: float) -> float:
+    def _compute_depth(self, x: float, y: float) -> float:
         """Compute how deep the centre of a robot is in an obstacle [length unit].
 
         The depth is negative outside, and -inf if no obstacle is near.
         """
         deepest = -math.inf
-        near = self._largest_error
+        margin = self._largest_error
         for shape in self._rules.obstacles:
             left, bottom, right, top = shape.box
-            if left - near <= x <= right + near and bottom - near <= y <= top + near:
+            if left - margin <= x <= right + margin and bottom - margin <= y <= top + margin:
                 distance = shape.distance(np.array(x), np.array(y))
                 deepest = max(deepest, -float(distance))
         return deepest
 
 
-def outside(arena: Bounds, pose: Pose) -> float:
+def distance_outside(arena: Bounds, pose: Pose) -> float:
     """Compute the distance of a position from the arena [length unit]. It is 0 inside."""
     return math.hypot(
         max(arena.left - pose.x, 0.0, pose.x - arena.right),
@@ -287,45 +296,45 @@ def outside(arena: Bounds, pose: Pose) -> float:
     )
 
 
-def beyond_edge(rules: GuardRules, robot: int, then: Pose) -> Excess:
-    """Compute by how much a robot will be outside the arena after its reaction time.
+def compute_edge_excess(rules: GuardRules, robot: int, predicted: Pose) -> Excess:
+    """Describe how far outside the arena a robot will be after its reaction time.
 
     Args:
         rules: The limits.
         robot: Index of the robot.
-        then: Its pose after its reaction time.
+        predicted: Its pose after its reaction time.
     """
-    return Excess("arena", outside(rules.arena, then) * rules.mm, 0.0, "mm", robot)
+    return Excess("arena", distance_outside(rules.arena, predicted) * rules.mm, 0.0, "mm", robot)
 
 
-def driven(pose: Pose, distance: float) -> Pose:
+def drive_ahead(pose: Pose, distance: float) -> Pose:
     """Return the pose after a robot has driven a distance along its heading."""
     dx = distance * math.cos(pose.heading)
     dy = distance * math.sin(pose.heading)
     return Pose(pose.x + dx, pose.y + dy, pose.heading)
 
 
-def too_close(
-    now: Mapping[str, Pose], then: Mapping[str, Pose], rules: GuardRules
+def find_too_close(
+    poses: Mapping[str, Pose], predicted: Mapping[str, Pose], rules: GuardRules
 ) -> Iterator[Finding]:
     """Find pairs of robots that come closer than the minimum distance.
 
     Args:
-        now: Present poses, by robot.
-        then: Predicted poses at the earliest time when the robots could be stopped, by robot.
+        poses: Present poses, by robot.
+        predicted: Predicted poses at the earliest time when the robots could be stopped, by robot.
         rules: The limits.
 
     Yields:
         An abort for each pair.
     """
-    least_mm = rules.limits.separation_mm
-    names = list(now)
+    separation_mm = rules.limits.separation_mm
+    names = list(poses)
     for i, name in enumerate(names):
         for neighbour in names[:i]:
-            gap = now[name].distance_to(now[neighbour])
-            gap_then = then[name].distance_to(then[neighbour])
-            if gap_then <= gap and gap_then * rules.mm < least_mm:
+            gap = poses[name].distance_to(poses[neighbour])
+            predicted_gap = predicted[name].distance_to(predicted[neighbour])
+            if predicted_gap <= gap and predicted_gap * rules.mm < separation_mm:
                 robot = rules.names.index(name)
-                excess = Excess("separation", gap_then * rules.mm, least_mm, "mm", robot)
+                excess = Excess("separation", predicted_gap * rules.mm, separation_mm, "mm", robot)
                 text = f"{neighbour} and {name} are too close: {gap * rules.mm:.0f} mm"
                 yield Abort(text, excess=excess)

@@ -65,7 +65,7 @@ from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
-ROOM = 256
+INITIAL_CAPACITY = 256
 """Initial number of transmissions that a history has space for. It grows as needed."""
 WATCHDOG_NS = SECOND // 4
 """Time without a transmission after which robots have stopped themselves [ns]."""
@@ -73,66 +73,71 @@ SLACK_S = 0.03
 """Slack of positions along and across the heading, as a time of driving at full speed [s]."""
 SLACK_RAD = 0.08
 """Slack of the angle turned [rad]."""
-COMPARED_NS = SECOND
+COMPARED_MAX_NS = SECOND
 """Maximum age of the moments since which motion is compared with commands [ns]."""
-SPACING_NS = SECOND // 20
+MOMENT_SPACING_NS = SECOND // 20
 """Minimum time between two of these moments [ns]."""
-STANDS_SHARE = 0.3
+STANDS_FRACTION = 0.3
 """Fraction of the commanded motion below which a robot counts as standing still."""
-MEANT_SHARE = 0.3
+MEANT_FRACTION = 0.3
 """Minimum fraction of a motion that must be commanded for its direction to be wrong.
 
 Below it, a disturbance moves the robot.
 """
 
-REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
+POSE_REPEATS = (
+    "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
+)
 DOES_NOT_MOVE = (
     "does not move though commanded to: is a wheel stuck, is the robot on its back or "
     "without power or link, or is the camera frozen?"
 )
-BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
-WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
-OF_CELLS = {
+MOVES_BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
+TURNS_WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
+MESSAGES_OF_CELLS = {
     DOES_NOT_MOVE: "does not swim: is it stuck or dead, or is the camera frozen?",
-    BACKWARD: "moves backward: is its heading reversed, or another cell tracked in its place?",
-    WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
+    MOVES_BACKWARD: (
+        "moves backward: is its heading reversed, or another cell tracked in its place?"
+    ),
+    TURNS_WRONG_WAY: (
+        "turns away from the field: is the camera's rotation or the field's sign wrong?"
+    ),
 }
 """Messages for robots without wheels, instead of those for robots on wheels."""
 AS_NO_COMMAND = "as no command does"
-PUSHED = ": was it pushed, or does the camera track another body as this robot?"
-ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
+PUSHED_QUESTION = ": was it pushed, or does the camera track another body as this robot?"
+MOVES_UNEXPLAINED = f"moves {{}} {AS_NO_COMMAND}{PUSHED_QUESTION}"
 """Message about a motion that no command explains. The placeholder is for one of PARTS."""
 
 
 class CommandHistory:
     """A history of commanded rates, each valid from its transmission until the next one.
 
-    The rates of one transmission are an array of a `shape`.
-
-    Before the first transmission, the rates are 0.
+    The rates of one transmission are an array of the given `shape`. Before the first transmission,
+    all rates are 0.
     """
 
     def __init__(self, *shape: int) -> None:
-        self._none = np.zeros(shape)
+        self._no_rates = np.zeros(shape)
         self._times: list[int] = []
-        self._sent = np.zeros((ROOM, *shape))  # of which the first rows are used
+        self._rates = np.zeros((INITIAL_CAPACITY, *shape))  # of which the first rows are used
 
-    def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
+    def add(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
         """Add the rates of a transmission at `now_ns` [ns].
 
         Entries older than about 2 s may be dropped.
         """
         count = len(self._times)
-        if count == len(self._sent):
-            self._sent = np.concatenate([self._sent, np.zeros_like(self._sent)])
-        self._sent[count] = rates
+        if count == len(self._rates):
+            self._rates = np.concatenate([self._rates, np.zeros_like(self._rates)])
+        self._rates[count] = rates
         self._times.append(now_ns)
-        old = bisect_right(self._times, now_ns - 2 * SECOND)
-        if old > 64:  # old entries are removed occasionally, all at once
-            self._sent[: count + 2 - old] = self._sent[old - 1 : count + 1].copy()
-            del self._times[: old - 1]
+        outdated = bisect_right(self._times, now_ns - 2 * SECOND)
+        if outdated > 64:  # old entries are removed occasionally, all at once
+            self._rates[: count + 2 - outdated] = self._rates[outdated - 1 : count + 1].copy()
+            del self._times[: outdated - 1]
 
-    def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
+    def find_acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
         """Return the transmissions that were in effect at some time between two times [ns].
 
         Returns:
@@ -140,25 +145,25 @@ class CommandHistory:
         """
         first = max(0, bisect_right(self._times, since_ns) - 1)
         last = bisect_right(self._times, until_ns)
-        return self._times[first:last], self._sent[first:last]
+        return self._times[first:last], self._rates[first:last]
 
-    def mean(self, until_ns: int, dt_ns: int) -> Floats:
+    def compute_mean(self, until_ns: int, dt_ns: int) -> Floats:
         """Compute the mean of the rates commanded during the `dt_ns` before `until_ns` [ns].
 
         Before the first transmission, rates are 0.
         """
-        first = until_ns - dt_ns
-        k = bisect_left(self._times, until_ns) - 1
-        if k >= 0 and self._times[k] <= first:  # the most frequent case
-            return self._sent[k] * dt_ns / dt_ns
-        total = self._none
-        while k >= 0:
-            since = max(self._times[k], first)
-            total = total + self._sent[k] * (until_ns - since)
-            if since == first:
+        since_ns = until_ns - dt_ns
+        latest = bisect_left(self._times, until_ns) - 1
+        if latest >= 0 and self._times[latest] <= since_ns:  # the most frequent case
+            return self._rates[latest] * dt_ns / dt_ns
+        total = self._no_rates
+        while latest >= 0:
+            begin_ns = max(self._times[latest], since_ns)
+            total = total + self._rates[latest] * (until_ns - begin_ns)
+            if begin_ns == since_ns:
                 break
-            until_ns = since
-            k = bisect_left(self._times, since) - 1
+            until_ns = begin_ns
+            latest = bisect_left(self._times, begin_ns) - 1
         return total / dt_ns
 
 
@@ -189,17 +194,17 @@ class MotionCheck(GuardCheck):
         rules: The rules of the guard.
         noise: Maximum error of a position [length unit]. The slack contains it once, although a
             motion has the errors of two positions.
-        share: Relative error g of the wheels.
+        wheel_error: Relative error g of the wheels.
     """
 
     statistical = True
 
-    def __init__(self, rules: GuardRules, noise: float, share: float) -> None:
+    def __init__(self, rules: GuardRules, noise: float, wheel_error: float) -> None:
         robots = len(rules.speeds)
         self._mm = rules.mm
         self._delay_ns = round(rules.limits.delay * SECOND)
         self._radius = rules.wheel_radius
-        self._share = share
+        self._wheel_error = wheel_error
         self._coarse = rules.sight.coarse
         driven = SLACK_S * np.array(rules.speeds)
         heading_error = rules.sight.largest_error_rad
@@ -211,7 +216,7 @@ class MotionCheck(GuardCheck):
         # grid's square, or a step of the heading, and the slack without the errors of poses
         diagonal = math.sqrt(2) * rules.sight.grid_mm / rules.mm
         steps = np.array([diagonal, diagonal, rules.sight.grid_rad])
-        self._unseen = steps + np.column_stack([driven, driven, np.full(robots, SLACK_RAD)])
+        self._visible_min = steps + np.column_stack([driven, driven, np.full(robots, SLACK_RAD)])
         # times (N,) of the newest poses, 0 before the first frame: what is integrated from 0 to
         # that frame means nothing, as robots start from rest before anything is compared
         self._times = (0,) * robots
@@ -251,19 +256,23 @@ class MotionCheck(GuardCheck):
         """
         self._since_rest.moments[robot].clear()
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record that an action was transmitted to the robots; see `GuardCheck.sent`."""
-        v = np.array(speed)
-        w = np.array(turning)
-        error = self._share * np.maximum(np.abs(v), np.abs(w) * self._radius)
-        error_around = error / self._radius if self._radius else self._share * np.abs(w)
-        exact = np.array([v, np.zeros_like(v), w]).T
+    def record_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Record a transmission; see `GuardCheck.record_transmission`."""
+        speeds = np.array(speed)
+        turning_rates = np.array(turning)
+        error = self._wheel_error * np.maximum(np.abs(speeds), np.abs(turning_rates) * self._radius)
+        error_around = (
+            error / self._radius if self._radius else self._wheel_error * np.abs(turning_rates)
+        )
+        exact = np.array([speeds, np.zeros_like(speeds), turning_rates]).T
         errors = np.array([error, error, error_around]).T
-        self._commanded.sent(now_ns, np.array([exact - errors, exact + errors]))
+        self._commanded.add(now_ns, np.array([exact - errors, exact + errors]))
 
     # ---- a frame ----
 
-    def exposed(self, times: tuple[int, ...]) -> None:
+    def record_exposures(self, times: tuple[int, ...]) -> None:
         """Record the times (N,) of a frame's poses, before the poses are compared.
 
         The time of a robot that measures its own pose may go back: if a later pose was refused and
@@ -275,77 +284,77 @@ class MotionCheck(GuardCheck):
         intervals = list(zip(self._times, times, strict=True))
         distinct = set(intervals)
         if len(distinct) == 1:  # all poses are of one exposure: no rows need be picked
-            self._integrate(slice(None), *intervals[0])
+            self._integrate_bounds(slice(None), *intervals[0])
         else:
             for interval in distinct:
-                robots = [i for i, of_robot in enumerate(intervals) if of_robot == interval]
-                self._integrate(robots, *interval)
+                robots = [i for i, own_interval in enumerate(intervals) if own_interval == interval]
+                self._integrate_bounds(robots, *interval)
         self._times = times
 
-    def _integrate(self, robots: slice | list[int], since_ns: int, until_ns: int) -> None:
+    def _integrate_bounds(self, robots: slice | list[int], since_ns: int, until_ns: int) -> None:
         """Add up how far commands allow some robots to move between the times of two poses."""
-        bounds = self._bounds_between(since_ns, until_ns)[:, robots]
+        bounds = self._compute_bounds(since_ns, until_ns)[:, robots]
         self._bounds[:, robots] = bounds
         self._since_rest.integrals[:, robots] += bounds * ((until_ns - since_ns) / SECOND)
-        self._driven_s[robots] += self._driven_between(since_ns, until_ns)[robots]
+        self._driven_s[robots] += self._compute_driven_s(since_ns, until_ns)[robots]
 
-    def _bounds_between(self, since_ns: int, until_ns: int) -> Floats:
+    def _compute_bounds(self, since_ns: int, until_ns: int) -> Floats:
         """Return the bounds (2, N, 3) between two times, for all commands that robots may obey.
 
         Only gaps between transmissions count, because nobody knows which of them a robot received.
         """
         earliest_ns = since_ns - self._delay_ns
-        times, rates = self._commanded.acting(earliest_ns, until_ns)
-        gaps = (after - before for before, after in pairwise([*times, until_ns]))
+        times, rates = self._commanded.find_acting(earliest_ns, until_ns)
+        gaps = (later - earlier for earlier, later in pairwise([*times, until_ns]))
         if not times or times[0] > earliest_ns or max(gaps) > WATCHDOG_NS:
             # robots may stand
             rates = np.concatenate([rates, np.zeros((1, *self._bounds.shape))])
         return np.array([rates[:, 0].min(axis=0), rates[:, 1].max(axis=0)])
 
-    def _driven_between(self, since_ns: int, until_ns: int) -> Floats:
+    def _compute_driven_s(self, since_ns: int, until_ns: int) -> Floats:
         """Compute how long commands that must move a robot were in force between two times.
 
         Their bounds exclude zero. Each command counts from its transmission to the next, for at
         most WATCHDOG_NS. The result has shape (N,) [s].
         """
-        times, rates = self._commanded.acting(since_ns, until_ns)
+        times, rates = self._commanded.find_acting(since_ns, until_ns)
         driven_s = np.zeros(len(self._times))
         in_force = pairwise([*times, until_ns])
         for (sent_ns, next_ns), bounds in zip(in_force, rates, strict=True):
             begins_ns = max(sent_ns, since_ns)
             ends_ns = min(next_ns, sent_ns + WATCHDOG_NS)
             if ends_ns > begins_ns:
-                driven_s[exclude_zero(bounds)] += (ends_ns - begins_ns) / SECOND
+                driven_s[exclude_standstill(bounds)] += (ends_ns - begins_ns) / SECOND
         return driven_s
 
     # ---- a pose ----
 
-    def repeat(self, robot: int) -> Iterator[Finding]:
+    def check_repeat(self, robot: int) -> Iterator[Finding]:
         """Refuse a repeated pose if its robot must have moved, and visibly to the camera.
 
         See "Repeats" in the module's docstring. Rule 1 uses the bounds of all commands together: if
         one drives forward and one backward, or one drives and one turns on the spot, these bounds
         do not exclude zero although each command moves the robot.
         """
-        moves_now = bool(exclude_zero(self._bounds[:, robot]))
+        moves_now = bool(exclude_standstill(self._bounds[:, robot]))
         moved_long = bool(self._driven_s[robot] > self._delay_ns / SECOND)
         if not moves_now and not moved_long:
             return
         since_rest = self._since_rest
-        least, most = (since_rest.integrals - since_rest.integrals_at_change)[:, robot]
-        unseen = self._unseen[robot]
-        if not self._coarse or np.any((least > unseen) | (most < -unseen)):
+        minimum, maximum = (since_rest.integrals - since_rest.integrals_at_change)[:, robot]
+        unseen = self._visible_min[robot]
+        if not self._coarse or np.any((minimum > unseen) | (maximum < -unseen)):
             driven_s = float(self._driven_s[robot])
-            yield Refuse(robot, REPEATS, Excess("frozen", driven_s, 0.0, "s", robot))
+            yield Refuse(robot, POSE_REPEATS, Excess("frozen", driven_s, 0.0, "s", robot))
 
-    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Refuse a pose that contradicts the commands; see `GuardCheck.pose`."""
+    def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
+        """Refuse a pose that contradicts the commands; see `GuardCheck.check_pose`."""
         fault = self.take_pose(robot, before, pose)
         if fault is not None:
             yield fault
 
-    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Report a robot that moves although it should stand still; see `GuardCheck.pause`."""
+    def check_pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+        """Report a robot that moves in a pause; see `GuardCheck.check_pause`."""
         stood = self._straying.get(robot, TimedPose(now_ns, before))
         fault = self.take_pose(robot, stood.pose, pose)
         if fault is None:
@@ -355,14 +364,14 @@ class MotionCheck(GuardCheck):
         if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault.text)
 
-    def take_pose(self, i: int, before: Pose, pose: Pose) -> Refuse | None:
+    def take_pose(self, robot: int, before: Pose, pose: Pose) -> Refuse | None:
         """Compare a new pose of a robot with the commands, and record it if it is consistent.
 
         The first pose after `start` or `replace` counts as consistent, and the motion up to it is
         not counted. Every pose counts as changed: repeated poses may be passed only during pauses.
 
         Args:
-            i: Index of the robot.
+            robot: Index of the robot.
             before: Its last consistent pose.
             pose: Its new pose.
 
@@ -370,54 +379,54 @@ class MotionCheck(GuardCheck):
             How the pose contradicts the commands. None if it is consistent.
         """
         since_rest = self._since_rest
-        moments = since_rest.moments[i]
-        integrals = since_rest.integrals[:, i].copy()
-        since_rest.integrals_at_change[:, i] = integrals
-        self._driven_s[i] = 0.0
-        travelled = since_rest.travelled[i].copy()
+        moments = since_rest.moments[robot]
+        integrals = since_rest.integrals[:, robot].copy()
+        since_rest.integrals_at_change[:, robot] = integrals
+        self._driven_s[robot] = 0.0
+        travelled = since_rest.travelled[robot].copy()
         if moments:
             travelled += RobotStep.between(before, pose).way
-        now = np.array([travelled, *integrals])
-        contradiction = self._contradiction(i, now)
+        motion = np.array([travelled, *integrals])
+        contradiction = self._find_contradiction(robot, motion)
         if contradiction is not None:
-            slack = self._slack[i]
-            text = fault_of(contradiction, slack, has_wheels=self._radius > 0)
-            return Refuse(i, text, excess_of(contradiction, slack, self._mm, i))
-        since_rest.travelled[i] = travelled
-        now_ns = self._times[i]
-        if not moments or now_ns - moments[-1][0] >= SPACING_NS:
-            moments.append((now_ns, now))
-        while now_ns - moments[0][0] > COMPARED_NS:  # the newest is younger: it stays
+            slack = self._slack[robot]
+            text = describe_fault(contradiction, slack, has_wheels=self._radius > 0)
+            return Refuse(robot, text, compute_excess(contradiction, slack, self._mm, robot))
+        since_rest.travelled[robot] = travelled
+        now_ns = self._times[robot]
+        if not moments or now_ns - moments[-1][0] >= MOMENT_SPACING_NS:
+            moments.append((now_ns, motion))
+        while now_ns - moments[0][0] > COMPARED_MAX_NS:  # the newest is younger: it stays
             moments.popleft()
         return None
 
-    def _contradiction(self, i: int, now: Floats) -> Floats | None:
+    def _find_contradiction(self, robot: int, motion: Floats) -> Floats | None:
         """Find the newest moment since which robot i moved as no command of it allows.
 
         Returns:
             The motion since then and its bounds (3, 3). None if there is no such moment.
         """
-        moments = self._since_rest.moments[i]
+        moments = self._since_rest.moments[robot]
         if not moments:
             return None
-        since = now - np.array([moment for _, moment in moments])
-        contradicts = out_of_bounds(since, self._slack[i]).any(axis=1)
+        since = motion - np.array([moment for _, moment in moments])
+        contradicts = are_out_of_bounds(since, self._slack[robot]).any(axis=1)
         if not contradicts.any():
             return None
         return since[np.flatnonzero(contradicts)[-1]]
 
 
-def exclude_zero(bounds: Floats) -> Bools:
+def exclude_standstill(bounds: Floats) -> Bools:
     """Check whether bounds (2, ..., 3) require that the robot moves, shape (...).
 
     They do if all rates along the heading, or all turning rates, have the same sign. The rates
     across the heading never do.
     """
-    least, most = bounds
-    return ((least > 0.0) | (most < 0.0)).any(axis=-1)
+    minimum, maximum = bounds
+    return ((minimum > 0.0) | (maximum < 0.0)).any(axis=-1)
 
 
-def out_of_bounds(motion: Floats, slack: Floats) -> Bools:
+def are_out_of_bounds(motion: Floats, slack: Floats) -> Bools:
     """Check which parts of motions are out of their bounds.
 
     The parts are the distance along the heading, the distance across it, and the angle turned.
@@ -434,7 +443,7 @@ def out_of_bounds(motion: Floats, slack: Floats) -> Bools:
     return (travelled < motion[..., 1, :] - slack) | (travelled > motion[..., 2, :] + slack)
 
 
-def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
+def describe_fault(motion: Floats, slack: Floats, has_wheels: bool) -> str:
     """Describe a motion that has a part out of its bounds.
 
     The command is taken as the middle of the bounds. A part *stands* if it is smaller than
@@ -452,27 +461,27 @@ def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
         slack: How much a part may exceed its bounds, shape (3,).
         has_wheels: Whether the robot has wheels.
     """
-    along, across, around = out_of_bounds(motion, slack)
-    travelled, least, most = motion
-    commanded = (least + most) / 2
-    stands = np.abs(travelled) < STANDS_SHARE * np.abs(commanded)
-    is_meant = np.abs(commanded) > MEANT_SHARE * np.abs(travelled)
+    along_is_out, across_is_out, around_is_out = are_out_of_bounds(motion, slack)
+    travelled, minimum, maximum = motion
+    commanded = (minimum + maximum) / 2
+    is_still = np.abs(travelled) < STANDS_FRACTION * np.abs(commanded)
+    is_meant = np.abs(commanded) > MEANT_FRACTION * np.abs(travelled)
     is_against = (travelled * commanded < 0.0) & is_meant
-    stands_along = along and stands[0]
-    stands_around = around and stands[2] and abs(travelled[0]) < slack[0]
-    if stands_along or stands_around:
-        return of_kind(DOES_NOT_MOVE, has_wheels)
-    if along and is_against[0]:
-        return of_kind(BACKWARD, has_wheels)
-    if around and is_against[2]:
-        return of_kind(WRONG_WAY, has_wheels)
-    if along:
-        return ANOTHER.format(PARTS[0])
-    return ANOTHER.format(PARTS[1] if across else PARTS[2])
+    is_still_along = along_is_out and is_still[0]
+    is_still_around = around_is_out and is_still[2] and abs(travelled[0]) < slack[0]
+    if is_still_along or is_still_around:
+        return adapt_message(DOES_NOT_MOVE, has_wheels)
+    if along_is_out and is_against[0]:
+        return adapt_message(MOVES_BACKWARD, has_wheels)
+    if around_is_out and is_against[2]:
+        return adapt_message(TURNS_WRONG_WAY, has_wheels)
+    if along_is_out:
+        return MOVES_UNEXPLAINED.format(PARTS[0])
+    return MOVES_UNEXPLAINED.format(PARTS[1] if across_is_out else PARTS[2])
 
 
-def excess_of(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
-    """Return the part of a motion that is furthest out of its bounds, and that bound.
+def compute_excess(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
+    """Describe the part of a motion that is furthest out of its bounds.
 
     Args:
         motion: The motion and its bounds, shape (3, 3).
@@ -480,15 +489,15 @@ def excess_of(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
         mm: Millimetres per length unit.
         robot: Index of the robot.
     """
-    travelled, least, most = motion
-    low = least - slack
-    high = most + slack
-    k = int((np.maximum(low - travelled, travelled - high) / slack).argmax())
-    limit = low[k] if travelled[k] < low[k] else high[k]
-    unit, scale = ("rad", 1.0) if k == 2 else ("mm", mm)
-    return Excess("motion", float(travelled[k]) * scale, float(limit) * scale, unit, robot)
+    travelled, minimum, maximum = motion
+    lower = minimum - slack
+    upper = maximum + slack
+    part = int((np.maximum(lower - travelled, travelled - upper) / slack).argmax())
+    limit = lower[part] if travelled[part] < lower[part] else upper[part]
+    unit, scale = ("rad", 1.0) if part == 2 else ("mm", mm)
+    return Excess("motion", float(travelled[part]) * scale, float(limit) * scale, unit, robot)
 
 
-def of_kind(fault: str, has_wheels: bool) -> str:
+def adapt_message(fault: str, has_wheels: bool) -> str:
     """Return the message about a fault in the words for robots with or without wheels."""
-    return fault if has_wheels else OF_CELLS[fault]
+    return fault if has_wheels else MESSAGES_OF_CELLS[fault]

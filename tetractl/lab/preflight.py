@@ -10,9 +10,9 @@
     arena     If robots can stand still: do they, and is nothing else in the arena?
     devices   What do the camera and the actuator report about themselves?
 
-`look_over` does this once. If one device cannot be opened, it still checks the other. While people
-place the robots, `wait_until_ready` checks the newest frame every 0.2 s, and inspects once when all
-robots are on their starts.
+`inspect_lab` does this once. If one device cannot be opened, it still checks the other. While
+people place the robots, `wait_until_ready` checks the newest frame every 0.2 s, and inspects once
+when all robots are on their starts.
 """
 
 import math
@@ -24,17 +24,17 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Health, LabSupervision, RobotStatus
 from tetractl.core.trial import EMULATED_DEVICES
-from tetractl.lab.camera_stream import rate_hz
+from tetractl.lab.camera_stream import compute_rate_hz
 from tetractl.lab.frames import AcceptedFrame, as_shown
-from tetractl.lab.rest_check import drifting_robots, moving_robots
+from tetractl.lab.rest_check import describe_drifting_robots, describe_moving_robots
 from tetractl.lab.rig import Rig
 
 FRAMES_CHECKED = 60
 """Number of camera frames that are checked, within at most one second."""
-RATE_SHARE = 0.8
+RATE_FRACTION_MIN = 0.8
 """Fraction of the camera's own rate below which the rate of frames causes a warning."""
 NOT_POLLED = RobotStatus(None)
-QUARTER = math.pi / 2
+QUARTER_TURN = math.pi / 2
 """A quarter turn [rad]."""
 
 
@@ -114,8 +114,8 @@ class Preflight:
         return (*self.warnings, *self.questions, *robots)
 
 
-def look_over(
-    rig: Rig, go_on: Callable[[Preflight], Preflight] = lambda findings: findings
+def inspect_lab(
+    rig: Rig, add_findings: Callable[[Preflight], Preflight] = lambda findings: findings
 ) -> Preflight:
     """Open a lab, check whether a run could start, and close the lab.
 
@@ -124,14 +124,14 @@ def look_over(
 
     Args:
         rig: The lab, which has not been opened before.
-        go_on: Called with the findings while both devices are open. It can add findings of its own,
-            and returns all of them.
+        add_findings: Called with the findings while both devices are open. It can add findings of
+            its own, and returns all of them.
     """
     try:
         failures = rig.open_devices()
         if not failures:
             with rig:
-                return go_on(inspect(rig))
+                return add_findings(inspect(rig))
         return _inspect_opened(rig, failures)
     finally:
         rig.close()
@@ -155,7 +155,7 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
         newest = rig.loop.frames.newest
         frames = [] if newest else rig.camera.frames()  # which no guard has checked
         newest = as_shown(frames[-1]) if frames else newest
-        robots = [_robot(rig, i, newest) for i in range(len(names))]
+        robots = [_check_robot(rig, i, newest) for i in range(len(names))]
     return Preflight(
         robots=tuple(robots),
         latency_ms=None,
@@ -174,7 +174,7 @@ def inspect(rig: Rig) -> Preflight:
     """
     statuses = rig.actuator.poll(1.0)
     dropped_before = rig.loop.guard.dropped
-    watched = _next_frames(rig)
+    new_frames = _watch_frames(rig)
     outdated = rig.loop.guard.dropped - dropped_before
     camera = rig.camera.check()
     actuator = rig.actuator.check()
@@ -182,30 +182,30 @@ def inspect(rig: Rig) -> Preflight:
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.frame.fault:
         problems.append(newest.frame.fault)
-    if not watched:
-        problems.append(rig.loop.guard.why_no_frame(rig.silent_ns()))
-    latency_ms = _latency_ms(watched)
-    comes_hz = rate_hz(
-        [frame.number for frame in watched], [frame.received_ns for frame in watched]
+    if not new_frames:
+        problems.append(rig.loop.guard.explain_missing_frames(rig.measure_silence_ns()))
+    latency_ms = _compute_latency_ms(new_frames)
+    measured_hz = compute_rate_hz(
+        [frame.number for frame in new_frames], [frame.received_ns for frame in new_frames]
     )
     own_hz = rig.setup.sight.rate_hz
-    slow = comes_hz is not None and comes_hz < RATE_SHARE * own_hz
-    warnings = [*camera.warnings, *actuator.warnings, *turned_by_quarters(rig, newest)]
-    if slow:
-        warnings.append(f"only {comes_hz:.0f} frames per second come instead of {own_hz:.0f}")
+    is_slow = measured_hz is not None and measured_hz < RATE_FRACTION_MIN * own_hz
+    warnings = [*camera.warnings, *actuator.warnings, *describe_quarter_turns(rig, newest)]
+    if is_slow:
+        warnings.append(f"only {measured_hz:.0f} frames per second come instead of {own_hz:.0f}")
     if outdated:
-        warnings.append(dropped(outdated))
+        warnings.append(describe_dropped_frames(outdated))
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
-        problems += _unknown_objects(rig, newest.frame)
-        problems += drifting_robots(rig)
-    robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
-    emulated = ", ".join(rig.emulated(camera, actuator))
+        problems += _describe_unknown_objects(rig, newest.frame)
+        problems += describe_drifting_robots(rig)
+    robots = tuple(_check_robot(rig, i, newest, status) for i, status in enumerate(statuses))
+    emulated = ", ".join(rig.list_emulated(camera, actuator))
     return Preflight(
         robots,
         latency_ms,
-        comes_hz,
+        measured_hz,
         tuple(problems),
         tuple(warnings),
         {**camera.facts, **actuator.facts} | ({EMULATED_DEVICES: emulated} if emulated else {}),
@@ -213,18 +213,18 @@ def inspect(rig: Rig) -> Preflight:
     )
 
 
-def unplaced(rig: Rig) -> list[str]:
+def describe_unplaced(rig: Rig) -> list[str]:
     """Return one line for each robot that is untracked or not on its start.
 
     A line is added if all robots seem to be turned by the same number of quarter turns.
     """
     newest = rig.loop.frames.newest
-    robots = (_robot(rig, i, newest) for i in range(len(rig.setup.names)))
+    robots = (_check_robot(rig, i, newest) for i in range(len(rig.setup.names)))
     lines = [line for robot in robots if (line := robot.untracked or robot.misplaced)]
-    return [*lines, *turned_by_quarters(rig, newest)]
+    return [*lines, *describe_quarter_turns(rig, newest)]
 
 
-def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
+def describe_quarter_turns(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     """Report tags or bodies that are mounted with a wrong orientation.
 
     If all robots are on their starts, and all headings are off by the same number of quarter
@@ -232,44 +232,44 @@ def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     start at any heading, such as cells that a trial finds, are not checked. The result is one
     line, or empty.
     """
-    if rig.limits.start_heading >= QUARTER:
+    if rig.limits.start_heading >= QUARTER_TURN:
         return []
-    robots = [_robot(rig, i, frame) for i in range(len(rig.setup.names))]
-    turned = [robot.off_heading for robot in robots if robot.off_heading is not None]
+    robots = [_check_robot(rig, i, frame) for i in range(len(rig.setup.names))]
+    turns = [robot.off_heading for robot in robots if robot.off_heading is not None]
     on_start = [
         robot.off_mm is not None and robot.off_mm <= rig.limits.start_mm for robot in robots
     ]
     if not all(on_start):
         return []
-    quarters = round(turned[0] / QUARTER)
-    largest = min(rig.limits.start_heading, QUARTER / 4)
-    off = [abs(math.remainder(turn - quarters * QUARTER, math.tau)) for turn in turned]
-    if quarters == 0 or max(off) > largest:
+    quarters = round(turns[0] / QUARTER_TURN)
+    error_max = min(rig.limits.start_heading, QUARTER_TURN / 4)
+    errors = [abs(math.remainder(turn - quarters * QUARTER_TURN, math.tau)) for turn in turns]
+    if quarters == 0 or max(errors) > error_max:
         return []
     degrees = "180" if abs(quarters) == 2 else f"{90 * quarters:+d}"
-    whose = "all robots are" if len(robots) > 1 else f"{robots[0].name} is"
+    subject = "all robots are" if len(robots) > 1 else f"{robots[0].name} is"
     return [
-        f"{whose} turned by {degrees} degrees from the start heading: does each tag or body "
+        f"{subject} turned by {degrees} degrees from the start heading: does each tag or body "
         "point to the robot's front? (The top edge of an AprilTag belongs on the robot's left.)"
     ]
 
 
-def dropped(outdated: int) -> str:
+def describe_dropped_frames(outdated: int) -> str:
     """Return a warning that a number of frames were dropped, because they arrived out of order."""
     return f"camera frames dropped, because later frames had already come: {outdated}"
 
 
-def _robot(
-    rig: Rig, i: int, frame: AcceptedFrame | None, status: RobotStatus = NOT_POLLED
+def _check_robot(
+    rig: Rig, index: int, frame: AcceptedFrame | None, status: RobotStatus = NOT_POLLED
 ) -> RobotFinding:
-    name = rig.setup.names[i]
+    name = rig.setup.names[index]
     starts = rig.setup.starts
     limits = rig.limits
-    pose = frame.pose(i) if frame is not None else None
+    pose = frame.pose(index) if frame is not None else None
     if pose is None:
-        return RobotFinding(name, None, None, "", rig.not_tracked(i), status)
-    off_mm = math.hypot(pose.x - starts.x[i], pose.y - starts.y[i]) * rig.mm
-    turned = math.remainder(pose.heading - starts.heading[i], math.tau)
+        return RobotFinding(name, None, None, "", rig.describe_untracked(index), status)
+    off_mm = math.hypot(pose.x - starts.x[index], pose.y - starts.y[index]) * rig.mm
+    turned = math.remainder(pose.heading - starts.heading[index], math.tau)
     misplaced = ""
     if off_mm > limits.start_mm:
         misplaced = f"{name} is {off_mm:.0f} mm from its start"
@@ -278,36 +278,36 @@ def _robot(
     return RobotFinding(name, off_mm, turned, misplaced, "", status)
 
 
-def _unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
+def _describe_unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
     inside = [pose for pose in frame.unknown_objects if rig.setup.arena.contains(pose.x, pose.y)]
     unit = rig.setup.unit
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f} {unit}" for p in inside]
 
 
-def _next_frames(rig: Rig) -> list[CameraFrame]:
+def _watch_frames(rig: Rig) -> list[CameraFrame]:
     """Return the next `FRAMES_CHECKED` frames, or fewer.
 
     There are fewer if they take more than a second, or if the camera falls silent.
     """
     clock = rig.clock
     frames = rig.loop.frames
-    first = rig.loop.frames.count
-    began = heard = clock.now()
-    silence = round(rig.limits.stream_lost * SECOND)
-    count = first
-    while count - first < FRAMES_CHECKED and clock.now() - began < SECOND:
+    first_count = rig.loop.frames.count
+    began_ns = received_ns = clock.now()
+    silence_max_ns = round(rig.limits.stream_lost * SECOND)
+    count = first_count
+    while count - first_count < FRAMES_CHECKED and clock.now() - began_ns < SECOND:
         clock.sleep_until(clock.now() + SECOND // 100)
-        before = count
+        previous_count = count
         count = frames.count
-        if count > before:
-            heard = clock.now()
-        elif clock.now() - heard > silence:
+        if count > previous_count:
+            received_ns = clock.now()
+        elif clock.now() - received_ns > silence_max_ns:
             break
-    frames_since, _ = frames.since(first)
+    frames_since, _ = frames.since(first_count)
     return [accepted.frame for accepted in frames_since]
 
 
-def _latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
+def _compute_latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
     """Return the median and maximum age of frames on arrival [ms].
 
     None if there are no frames, or if the camera does not report when they were exposed.
@@ -333,15 +333,17 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     clock = rig.clock
     # frames are missing occasionally, so a robot has at least 1 s
     limit_ns = round(max(rig.limits.placing, 1.0) * SECOND)
-    began = clock.now()
+    began_ns = clock.now()
     while True:
         findings: Preflight | None = None
-        lines = unplaced(rig) or (moving_robots(rig) if rig.actuator.halts else [])
+        lines = describe_unplaced(rig) or (
+            describe_moving_robots(rig) if rig.actuator.halts else []
+        )
         if lines:  # the reason why a robot is not tracked is reported first
             lines = [*rig.camera.check().problems, *lines]
         if not lines:
             findings = inspect(rig)
-            lines = list(dict.fromkeys((*findings.all_problems, *unplaced(rig))))
+            lines = list(dict.fromkeys((*findings.all_problems, *describe_unplaced(rig))))
         if prompt is not None:
             prompt.place(lines, findings.questions if findings else ())
         if findings is not None and not lines and (prompt is None or prompt.go()):
@@ -351,7 +353,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
         if supervision.cancelled():
             raise KeyboardInterrupt
         _check_stream(rig)
-        if prompt is None and clock.now() - began >= limit_ns:
+        if prompt is None and clock.now() - began_ns >= limit_ns:
             problems = (findings or inspect(rig)).all_problems
             raise AbortError(
                 "; ".join(dict.fromkeys((*problems, *lines))),
@@ -362,9 +364,9 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
 
 def _check_stream(rig: Rig) -> None:
-    silent_ns = rig.silent_ns()
+    silent_ns = rig.measure_silence_ns()
     newest = rig.loop.frames.newest
     if newest is not None and newest.frame.fault:
         raise AbortError(newest.frame.fault)
     if silent_ns > max(rig.limits.stream_lost, 0.5) * SECOND:
-        raise AbortError(rig.loop.guard.why_no_frame(silent_ns))
+        raise AbortError(rig.loop.guard.explain_missing_frames(silent_ns))

@@ -65,7 +65,7 @@ class Rig:
         self._threaded = threaded
         self._emulated = frozenset(emulated)
         self._open_devices = set[str]()  # the names of the devices that are open
-        self._releases = ExitStack()
+        self._exit_stack = ExitStack()
         self._was_opened = False
 
     @property
@@ -115,24 +115,24 @@ class Rig:
             if name in self._open_devices:
                 continue
             try:
-                self._releases.enter_context(device)
+                self._exit_stack.enter_context(device)
                 self._open_devices.add(name)
             except AbortError as failure:
                 failures[name] = failure
         return failures
 
-    def after_close(self, act: Callable[[], object]) -> None:
+    def call_after_close(self, act: Callable[[], object]) -> None:
         """Register a function to be called once the devices are released."""
-        self._releases.callback(act)
+        self._exit_stack.callback(act)
 
-    def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
+    def list_emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
         """Return which devices are emulated: a tuple with "camera", "actuator", both or neither.
 
         A device counts as emulated if its health check reports this, or if it was named as emulated
         when this object was created.
         """
-        said = {"camera": camera.emulated, "actuator": actuator.emulated}
-        return tuple(name for name in said if said[name] or name in self._emulated)
+        reported = {"camera": camera.emulated, "actuator": actuator.emulated}
+        return tuple(name for name in reported if reported[name] or name in self._emulated)
 
     def settle(self, setup: Setup) -> None:
         """Continue with a new setup, such as robots that were just found in the image.
@@ -155,10 +155,10 @@ class Rig:
         """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
 
-    def not_tracked(self, i: int) -> str:
+    def describe_untracked(self, robot: int) -> str:
         """Return a message that robot i is not tracked and, if known, why."""
-        why = self.loop.guard.refused[i]
-        return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
+        reason = self.loop.guard.refused[robot]
+        return f"{self.setup.names[robot]} is not tracked" + (f": {reason}" if reason else "")
 
     def close(self) -> None:
         """End the inner loop and release the devices.
@@ -166,9 +166,9 @@ class Rig:
         This method can be called twice, and never raises.
         """
         self.loop.close()
-        self._releases.close()
+        self._exit_stack.close()
 
-    def silent_ns(self) -> int:
+    def measure_silence_ns(self) -> int:
         """Return the time since the last accepted camera frame was received [ns].
 
         Before the first frame, it is the time since the run's clock began.

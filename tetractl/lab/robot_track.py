@@ -3,7 +3,7 @@
 A pose is refused if the body is not upright on the floor. Once a run has begun, it is also refused
 if the height of the body has changed by more than LIFTED_MM since the beginning, because somebody
 has lifted the robot or set it down. And it is refused if the robot cannot have come there from a
-remembered pose: the last one, and some of the last second (`lab.kernel.too_fast`).
+remembered pose: the last one, and some of the last second (`lab.kernel.check_speed`).
 
 Lengths are in the spec's length unit. Times are in ns on the run's clock.
 """
@@ -17,20 +17,20 @@ from tetractl.core.guard_findings import Excess, Finding, Refuse
 from tetractl.core.poses import Pose
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.kernel import too_fast
+from tetractl.lab.kernel import check_speed
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
-FORGIVEN = 0.25
+FORGIVEN_FRACTION = 0.25
 """Fraction of the time in which a robot is seen that cancels earlier time unseen."""
 REMEMBERED_NS = SECOND
 """Maximum age of the accepted poses with which a new pose is compared [ns]."""
 JUMP_SPACING_NS = SECOND // 50
 """Minimum time between two remembered poses.
 
-A pose may additionally jump by `kernel.FASTER` times the robot's path in this time, because a new
+A pose may additionally jump by `SPEED_FACTOR` times the robot's path in this time, because a new
 pose may be this much later than the one remembered.
 """
-JUMPED = "its pose jumped"
+POSE_JUMPED = "its pose jumped"
 LIFTED_MM = 40.0
 """Maximum change of a body's height since the start of the run [mm].
 
@@ -73,9 +73,9 @@ class RobotTrack:
 
     name: str
     rules: GuardRules
-    i: int
+    index: int
     """Index of the robot."""
-    last: Pose | None = None
+    last_pose: Pose | None = None
     """The last accepted pose of the robot. None before the first."""
     last_ns: int = 0
     """When that pose was exposed [ns]. 0 before the first."""
@@ -132,7 +132,7 @@ class RobotTrack:
     @property
     def tracked(self) -> bool:
         """Whether the robot has a recent accepted pose and is not lost, so that it may move."""
-        return self.last is not None and not self.lost and not self.hidden
+        return self.last_pose is not None and not self.lost and not self.hidden
 
     def start_run(self) -> None:
         """Forget how the robot moved before a run, because it may have been carried.
@@ -147,14 +147,14 @@ class RobotTrack:
         ]
         self._height = statistics.median(heights) if heights else None
         self._remembered.clear()
-        if self.last is not None:
-            self._remembered.append(TimedPose(self.last_ns, self.last))
+        if self.last_pose is not None:
+            self._remembered.append(TimedPose(self.last_ns, self.last_pose))
         self._counted_ns = self.last_ns
         self.decision = MISSING
 
     # ---- its poses ----
 
-    def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
+    def record_times(self, newest_ns: int, read_ns: int, has_own_times: bool) -> None:
         """Record the times of the newest frame and of the robot's pose in it.
 
         If poses have their own times, a frame may repeat a pose that was measured for an earlier
@@ -163,9 +163,9 @@ class RobotTrack:
         Args:
             newest_ns: Time of the frame.
             read_ns: Time of the pose.
-            own_times: Whether poses have their own times.
+            has_own_times: Whether poses have their own times.
         """
-        self.is_new = not own_times or read_ns > max(self.last_ns, self.read_ns)
+        self.is_new = not has_own_times or read_ns > max(self.last_ns, self.read_ns)
         self.newest_ns = newest_ns
         self.read_ns = read_ns
 
@@ -177,12 +177,12 @@ class RobotTrack:
         seen_until_ns = self.last_ns + stale_ns
         unseen_ns = max(0.0, self.newest_ns - max(self._counted_ns, seen_until_ns))
         seen_ns = self.newest_ns - self._counted_ns - unseen_ns
-        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)
+        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN_FRACTION * seen_ns)
         self._counted_ns = self.newest_ns
 
     def accept(self, pose: Pose, exposed_ns: int) -> None:
         """Store an accepted pose, exposed at `exposed_ns`, after the last accepted one."""
-        self.last = pose
+        self.last_pose = pose
         self.last_ns = exposed_ns
         remembered = self._remembered
         while remembered and exposed_ns - remembered[0].exposed_ns > REMEMBERED_NS:
@@ -190,24 +190,24 @@ class RobotTrack:
         if not remembered or exposed_ns - remembered[-1].exposed_ns >= JUMP_SPACING_NS:
             remembered.append(TimedPose(exposed_ns, pose))
 
-    def refusal(self, pose: Pose, exposed_ns: int, driving: bool) -> Refuse | None:
-        """Explain why a pose cannot belong to the robot. None if it can.
+    def find_refusal(self, pose: Pose, exposed_ns: int, is_driving: bool) -> Refuse | None:
+        """Find the reason why a pose cannot belong to the robot. None if it can.
 
         Args:
             pose: The pose.
-            exposed_ns: Its time.
-            driving: Whether robots drive. Robots that do not may be carried, so only the limits of
-                height and tilt are checked.
+            exposed_ns: Its time [ns].
+            is_driving: Whether robots drive. Robots that do not drive may be carried, so only the
+                limits of height and tilt are checked.
         """
-        fault = self.ghost or self._off_the_floor(pose)
-        if not fault and driving:
-            fault = self._lifted(pose)
+        fault = self.ghost or self._describe_wrong_height(pose)
+        if not fault and is_driving:
+            fault = self._describe_lift(pose)
         if fault:
-            return Refuse(self.i, fault)
-        jump = self._jump(pose, exposed_ns) if driving else None
-        return None if jump is None else Refuse(self.i, JUMPED, jump)
+            return Refuse(self.index, fault)
+        jump = self._find_jump(pose, exposed_ns) if is_driving else None
+        return None if jump is None else Refuse(self.index, POSE_JUMPED, jump)
 
-    def _off_the_floor(self, pose: Pose) -> str:
+    def _describe_wrong_height(self, pose: Pose) -> str:
         """Explain why a body's height or tilt is wrong for a robot on the floor.
 
         Empty if both fit.
@@ -220,7 +220,7 @@ class RobotTrack:
             return f"its body is tilted by {pose.tilt:.2f} rad"
         return ""
 
-    def _lifted(self, pose: Pose) -> str:
+    def _describe_lift(self, pose: Pose) -> str:
         """Describe how much higher or lower the body is than at the start of the run.
 
         Empty if it is not.
@@ -234,16 +234,16 @@ class RobotTrack:
             return f"its body is {-higher_mm:.0f} mm lower than at the start: was it set down?"
         return ""
 
-    def _jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
-        """Return by how much the robot is too far from a remembered pose.
+    def _find_jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
+        """Find a remembered pose from which the robot cannot have come, and return the excess.
 
         None if it can have come from each of them.
         """
-        if self.last is None:
+        if self.last_pose is None:
             return None
-        for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):
+        for earlier in (*self._remembered, TimedPose(self.last_ns, self.last_pose)):
             dt_ns = exposed_ns - earlier.exposed_ns
-            excess = too_fast(self.rules, self.i, earlier.pose, pose, dt_ns)
+            excess = check_speed(self.rules, self.index, earlier.pose, pose, dt_ns)
             if excess is not None:
                 return excess
         return None

@@ -18,17 +18,17 @@ from tetractl.core.poses import FrameAddition, Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import HALTS, Note, PlantInfo, Verdict
-from tetractl.lab.abort_cause import CAMERA
+from tetractl.lab.abort_cause import CAMERA_MOVED
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard import GuardState
-from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
+from tetractl.lab.preflight import Preflight, describe_dropped_frames, wait_until_ready
 from tetractl.lab.rest_check import (
-    LONGER,
-    STANDS_NS,
+    STANDSTILL_NS,
+    WINDOW_MULTIPLES,
     Standstill,
-    drifting_robots,
-    joined,
+    describe_drifting_robots,
+    join_messages,
     wait_for_rest,
 )
 from tetractl.lab.rig import Rig, build_rig
@@ -263,7 +263,7 @@ class LabPlant:
         if isinstance(action, Steer) and self._observed_ns is not None:
             begins = guard.state is GuardState.READY  # a step that begins a run is never late
             period_ns = round(self.setup.period_s * SECOND)
-            guard.note_step(not begins and self.clock.now() - self._observed_ns > period_ns)
+            guard.record_step(not begins and self.clock.now() - self._observed_ns > period_ns)
         self._observed_ns = None
         self._check_pause("in a pause")
         self._raise_abort()
@@ -330,15 +330,15 @@ class LabPlant:
         if not_at_rest:
             self._note("error", not_at_rest)
         if guard.dropped:
-            self._note("warning", dropped(guard.dropped))
-        turns = guard.drift.turns()
+            self._note("warning", describe_dropped_frames(guard.dropped))
+        turns = guard.drift.describe_turning()
         if turns:
             self._note("info", turns)
         if guard.state is GuardState.ABORT:
             not_at_rest = not_at_rest or guard.reason
         self._take_frames()
         self._settled = True
-        turn, turn_std = guard.drift.turning()
+        turn, turn_std = guard.drift.estimate_turning()
         verdict = self._frames.path_check.verdict(self._final(), not_at_rest)
         return replace(
             verdict,
@@ -434,11 +434,11 @@ class LabPlant:
 
         The error's message then also names robots that may still be driving.
         """
-        if not (self.rig.actuator.halts and drifting_robots(self.rig)):
+        if not (self.rig.actuator.halts and describe_drifting_robots(self.rig)):
             return error
         self._halt()
         self.rig.loop.guard.abort(error.message)
-        return AbortError(joined(error.message, self._come_to_rest().unrest), error.hint)
+        return AbortError(join_messages(error.message, self._come_to_rest().unrest), error.hint)
 
     def _check_pause(self, when: str) -> bool:
         """Abort if a robot moved while none was commanded to, and return whether it did.
@@ -449,11 +449,11 @@ class LabPlant:
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):
             return False
         lines: list[str] = []
-        if self.clock.now() - self._stopped_ns > STANDS_NS:
-            lines += drifting_robots(self.rig, LONGER[:1])
+        if self.clock.now() - self._stopped_ns > STANDSTILL_NS:
+            lines += describe_drifting_robots(self.rig, WINDOW_MULTIPLES[:1])
         moved = guard.moved
         if len(moved) == len(self.setup.names) > 1:
-            lines.append(CAMERA)
+            lines.append(CAMERA_MOVED)
         else:
             lines += [f"{self.setup.names[i]} {how}" for i, how in moved.items()]
         if lines:  # the first reason stays

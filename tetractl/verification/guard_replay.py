@@ -110,7 +110,7 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
         if event.is_command:
             command = log.commands[event.row]
             if not steps or command.sent_ns in steps:
-                observer.note_step(event.t_ns, steps.get(command.sent_ns, False))
+                observer.record_step(event.t_ns, steps.get(command.sent_ns, False))
                 _note_action(observer, command)
             elif isinstance(command.action, Stop):
                 observer.end_run()

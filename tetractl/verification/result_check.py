@@ -147,4 +147,4 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
         elif guard.state is GuardState.READY:
             guard.start_run(event.t_ns)
         note_speeds(guard, log, command)
-    return guard.drift.turning()
+    return guard.drift.estimate_turning()

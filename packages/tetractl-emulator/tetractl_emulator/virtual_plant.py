@@ -198,14 +198,14 @@ class EmulatedPlantSection(RigSection):
             checks_of=resolve_name(self.actuator.checks),
         )
         if live:
-            rig.after_close(clock.start())
+            rig.call_after_close(clock.start())
         else:
             clock.steps.append(rig.loop.step_if_due)
         if record is not None:
             clock.watchers.append(
                 lambda: emulation.ruled(rig.loop.guard.state, rig.loop.guard.reason)
             )
-            rig.after_close(lambda: outlive(emulation))
+            rig.call_after_close(lambda: outlive(emulation))
         return rig
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> LabPlant:

@@ -23,7 +23,7 @@ from tetractl.core.poses import Floats, Pose
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import GuardChecks
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.kernel import beyond_edge, driven, outside, too_close
+from tetractl.lab.kernel import compute_edge_excess, distance_outside, drive_ahead, find_too_close
 from tetractl.lab.motion_check import MotionCheck
 from tetractl.model.swimmers import DIPOLE_SD_RAD
 
@@ -65,17 +65,19 @@ class Swims(MotionCheck):
         self._a = np.array(rules.turning)
         self._slack[:, 2] += 2 * HEADING_RAD
 
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record the rates that a transmission allows; see `GuardCheck.sent`."""
+    def record_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Record the rates that a transmission allows; see `GuardCheck.record_transmission`."""
         v = np.array(speed)
         slowest, fastest = turning_rates(np.array(turning), self._a)
         error = WANDERS * np.abs(v)
         least = np.array([v - error, -error, slowest - WANDERS * np.abs(slowest)]).T
         greatest = np.array([v + error, error, fastest + WANDERS * np.abs(fastest)]).T
-        self._commanded.sent(now_ns, np.array([least, greatest]))
+        self._commanded.add(now_ns, np.array([least, greatest]))
 
-    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Warn of a pose that no command explains; see `GuardCheck.pose`.
+    def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
+        """Warn of a pose that no command explains; see `GuardCheck.check_pose`.
 
         The comparison then restarts at this pose. Nothing is yielded for any other pose.
         """
@@ -84,8 +86,8 @@ class Swims(MotionCheck):
             self.replace(robot)
             yield Warn(f"{self._names[robot]} {fault.text}")
 
-    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
-        """Find nothing, because cells swim on; see `GuardCheck.pause`."""
+    def check_pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
+        """Find nothing, because cells swim on; see `GuardCheck.check_pause`."""
         return ()
 
 
@@ -110,7 +112,7 @@ class Stays(GuardCheck):
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules
 
-    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
+    def check_places(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
         """Yield a loss for each cell about to leave the arena, and aborts for close pairs.
 
         Cells that are lost or not tracked are skipped.
@@ -122,8 +124,10 @@ class Stays(GuardCheck):
                 continue
             name = self._rules.names[i]
             now[name] = robot.pose
-            then[name] = driven(robot.pose, robot.way)
-            if outside(self._rules.arena, then[name]) > outside(self._rules.arena, robot.pose):
-                excess = beyond_edge(self._rules, i, then[name])
+            then[name] = drive_ahead(robot.pose, robot.way)
+            if distance_outside(self._rules.arena, then[name]) > distance_outside(
+                self._rules.arena, robot.pose
+            ):
+                excess = compute_edge_excess(self._rules, i, then[name])
                 yield Lose(i, f"{name} is about to leave the arena", excess)
-        yield from too_close(now, then, self._rules)
+        yield from find_too_close(now, then, self._rules)

@@ -107,7 +107,7 @@ def checked(monkeypatch):
     def run(can_start=True, questions=(), answers=(), terminal=True, yes=False):
         left = list(answers)
         preflight = SimpleNamespace(can_start=can_start, questions=list(questions))
-        monkeypatch.setattr("tetractl.lab.preflight.look_over", lambda rig, practice: preflight)
+        monkeypatch.setattr("tetractl.lab.preflight.inspect_lab", lambda rig, practice: preflight)
         monkeypatch.setattr(module.ui, "rig_of", lambda experiment: None)
         monkeypatch.setattr("tetractl.view.terminal.findings.print_findings", lambda *_: None)
         monkeypatch.setattr(module, "has_keys", lambda: terminal)

@@ -10,18 +10,18 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
 from tetractl.lab.abort_cause import (
-    CAMERA,
+    CAMERA_MOVED,
     MISFIT_NOISE,
-    RADIO,
+    MOTION_ERROR,
+    NUMBERS_SWAPPED,
+    RADIO_SLOW,
     RECENT_NS,
-    SHARE,
-    SWAPPED,
     AbortCause,
-    squares_of,
+    compute_squares,
 )
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY
+from tetractl.lab.motion_check import DOES_NOT_MOVE, MOVES_UNEXPLAINED, TURNS_WRONG_WAY
 from tetractl.spec.lab_section import LabLimits
 
 NAMES = ("green", "blue", "red")
@@ -29,7 +29,7 @@ PAIR = NAMES[:2]
 SPEEDS = (180.0, 200.0, 150.0)  # [mm/s]
 TURNING = (6.0, 4.0, 3.0)  # [rad/s]
 ARENA = Bounds(0.0, 0.0, 2000.0, 2000.0)
-OTHERWISE = ANOTHER.format("around")
+OTHERWISE = MOVES_UNEXPLAINED.format("around")
 FRAME_NS = SECOND // 120
 FRAME_S = FRAME_NS / SECOND
 SEND_NS = SECOND // 40
@@ -135,7 +135,7 @@ def accused(
             direction = random.uniform(-2, 2)
         if begins(now_ns, SEND_NS):
             turning = np.array(TURNING[:count]) * np.sin(direction - robots.places[:, 2])
-            drift.sent(now_ns, SPEEDS[:count], turning)
+            drift.record_transmission(now_ns, SPEEDS[:count], turning)
             robots.send(now_ns, SPEEDS[:count], turning)
         robots.move(now_ns)
         poses = camera.poses(robots.places, now_ns)
@@ -144,10 +144,10 @@ def accused(
         if before is not None and seconds_left(now_ns) > learnt_until_s:
             pairs = zip(before, poses, strict=True)
             motions.travelled += [RobotStep.between(*pair).way for pair in pairs]
-            drift.frame(now_ns, times_ns, poses)
+            drift.check_frame(now_ns, times_ns, poses)
         before = poses
     shown = [frame for frame in frames if now_ns - frame.sampled_ns <= RECENT_NS]
-    return AbortCause(rules, drift, shown).why(suspect, reason)
+    return AbortCause(rules, drift, shown).explain(suspect, reason)
 
 
 def pushed(who):
@@ -179,8 +179,8 @@ def test_a_robot_that_is_carried_is_not_the_radios(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_moved_origin_is_the_cameras(seed):
     """Regression: "does the camera track another body as this robot?", 6 of 6."""
-    assert accused(pushed([0, 1, 2]), seed=seed) == CAMERA
-    assert accused(pushed([0, 1]), seed=seed, names=PAIR) == CAMERA
+    assert accused(pushed([0, 1, 2]), seed=seed) == CAMERA_MOVED
+    assert accused(pushed([0, 1]), seed=seed, names=PAIR) == CAMERA_MOVED
 
 
 def test_a_camera_that_turns_is_the_cameras():
@@ -190,13 +190,13 @@ def test_a_camera_that_turns_is_the_cameras():
         angle = 0.1 * max(0.0, 0.3 - t)
         return angle * np.array([-place[1], place[0], 1.0])
 
-    assert accused(turned) == CAMERA
+    assert accused(turned) == CAMERA_MOVED
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_slow_radio_is_named_with_its_delay(seed):
     """Regression: "does the camera track another body as this robot?"."""
-    assert accused(delay_s=0.5, seed=seed) == RADIO.format(0.5)
+    assert accused(delay_s=0.5, seed=seed) == RADIO_SLOW.format(0.5)
 
 
 @pytest.mark.parametrize("usual_s", [0.6, 1.0])
@@ -211,19 +211,19 @@ def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed,
     obeys = [0, 1, 2]
     obeys[first] = second
     obeys[second] = first
-    text = SWAPPED.format(NAMES[first], NAMES[second])
+    text = NUMBERS_SWAPPED.format(NAMES[first], NAMES[second])
     assert accused(obeys=obeys, seed=seed, suspect=first) == text
     assert accused(obeys=obeys, seed=seed, suspect=second) == text
 
 
 def test_the_two_of_two_robots_are_named_together_if_they_have_exchanged_numbers():
-    assert accused(obeys=[1, 0], names=PAIR, seed=4) == SWAPPED.format(*PAIR)
+    assert accused(obeys=[1, 0], names=PAIR, seed=4) == NUMBERS_SWAPPED.format(*PAIR)
 
 
 def test_numbers_are_not_asked_for_if_the_reason_says_what_is_wrong_with_the_robot():
-    text = SWAPPED.format(*PAIR)
+    text = NUMBERS_SWAPPED.format(*PAIR)
     assert accused(obeys=[1, 0, 2], seed=3) == text
-    assert accused(obeys=[1, 0, 2], seed=3, reason=WRONG_WAY) != text
+    assert accused(obeys=[1, 0, 2], seed=3, reason=TURNS_WRONG_WAY) != text
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -259,8 +259,8 @@ def test_robots_that_all_stand_are_named_themselves():
 def test_robots_that_are_seen_at_times_of_their_own_are_named_as_others(seed):
     ages = (0, 6, 12)  # up to 0.1 s
     assert accused(pushed([0]), seed=seed, ages=ages) == ""
-    assert accused(pushed([0, 1, 2]), seed=seed, ages=ages) == CAMERA
-    assert accused(delay_s=0.5, seed=seed, ages=ages) == RADIO.format(0.5)
+    assert accused(pushed([0, 1, 2]), seed=seed, ages=ages) == CAMERA_MOVED
+    assert accused(delay_s=0.5, seed=seed, ages=ages) == RADIO_SLOW.format(0.5)
 
 
 def test_a_robot_that_moves_as_commanded_leaves_no_square():
@@ -270,9 +270,9 @@ def test_a_robot_that_moves_as_commanded_leaves_no_square():
     for ways, turns in sent:
         course = now[:, 2] + turns / 2
         now = now + np.column_stack([ways * np.cos(course), ways * np.sin(course), turns])
-    assert squares_of(then, now, sent) == pytest.approx(np.zeros(2), abs=1e-12)
+    assert compute_squares(then, now, sent) == pytest.approx(np.zeros(2), abs=1e-12)
     whole_turn = now + np.array([0.0, 0.0, 2 * np.pi])
-    assert squares_of(then, whole_turn, sent) == pytest.approx(np.zeros(2), abs=1e-12)
+    assert compute_squares(then, whole_turn, sent) == pytest.approx(np.zeros(2), abs=1e-12)
 
 
 @pytest.mark.parametrize(("off", "size"), [(0, 18.0), (1, 18.0), (2, 0.4)])
@@ -289,6 +289,6 @@ def test_a_deviation_counts_by_its_direction_and_by_what_was_commanded(off, size
         1: (-np.sin(heading) * deviation, np.cos(heading) * deviation, 0.0),
         2: (0.0, 0.0, deviation),
     }[off]
-    expected = (deviation / (MISFIT_NOISE[off] + SHARE[off] * size)) ** 2
-    squares = squares_of(np.array([[0.0, 0.0, 0.7]]), now + np.array(shift), sent)
+    expected = (deviation / (MISFIT_NOISE[off] + MOTION_ERROR[off] * size)) ** 2
+    squares = compute_squares(np.array([[0.0, 0.0, 0.7]]), now + np.array(shift), sent)
     assert squares == pytest.approx([expected])

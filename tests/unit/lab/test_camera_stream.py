@@ -11,12 +11,12 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.camera_stream import (
     NOISE_FRAMES,
-    SLOW_HZ,
+    RATE_MIN_HZ,
     CameraStream,
     DamagedCount,
     RateWindow,
     RepeatDetector,
-    rate_hz,
+    compute_rate_hz,
 )
 
 MS = SECOND // 1000
@@ -31,10 +31,10 @@ def poses(*values):
 
 
 def test_a_rate_counts_the_frames_that_were_lost_in_between():
-    assert rate_hz([5, 6, 7, 15], [0, 1, 2, SECOND // 4]) == pytest.approx(40.0)
-    assert rate_hz([5, 6], [SECOND, 3 * SECOND]) == pytest.approx(0.5)
+    assert compute_rate_hz([5, 6, 7, 15], [0, 1, 2, SECOND // 4]) == pytest.approx(40.0)
+    assert compute_rate_hz([5, 6], [SECOND, 3 * SECOND]) == pytest.approx(0.5)
     for numbers, received_ns in [([], []), ([1], [5]), ([1, 2], [5, 5]), ([1, 2], [5, 4])]:
-        assert rate_hz(numbers, received_ns) is None
+        assert compute_rate_hz(numbers, received_ns) is None
 
 
 @settings(max_examples=20)
@@ -144,7 +144,7 @@ def test_a_frame_whose_unknown_objects_move_is_no_repeat():
 def test_only_a_frame_that_is_newer_than_all_others_advances_the_stream():
     stream = CameraStream()
     assert (stream.newest, stream.newest_ns) == (None, 0)
-    taken = [stream.advance(frame(at * MS), False) for at in (50, 60, 60, 40, 61)]
+    taken = [stream.add_frame(frame(at * MS), False) for at in (50, 60, 60, 40, 61)]
     assert taken == [True, True, False, False, True]
     assert stream.newest_ns == 61 * MS
     assert (stream.dropped, stream.outdated) == (2, 0)
@@ -152,27 +152,27 @@ def test_only_a_frame_that_is_newer_than_all_others_advances_the_stream():
 
 def test_outdated_frames_are_counted_with_the_age_of_the_last():
     stream = CameraStream()
-    assert stream.frameless_text(SECOND // 2) == "no new camera frame for 0.50 s"
+    assert stream.describe_silence(SECOND // 2) == "no new camera frame for 0.50 s"
     for at in (1000, 900, 750):
-        stream.advance(frame(at * MS), False)
+        stream.add_frame(frame(at * MS), False)
     assert stream.outdated == stream.dropped == 2
     assert stream.behind_ns == 250 * MS
-    assert stream.frameless_text(SECOND) == (
+    assert stream.describe_silence(SECOND) == (
         "no new camera frame for 1.00 s: 2 outdated frames came, the last exposed 0.25 s before "
         "the newest frame"
     )
-    stream.advance(frame(1001 * MS), False)
-    assert stream.frameless_text(SECOND) == "no new camera frame for 1.00 s"
+    stream.add_frame(frame(1001 * MS), False)
+    assert stream.describe_silence(SECOND) == "no new camera frame for 1.00 s"
 
 
 @pytest.mark.parametrize(
-    ("hz", "slow"), [(10, True), (SLOW_HZ - 1, True), (SLOW_HZ, False), (120, False)]
+    ("hz", "slow"), [(10, True), (RATE_MIN_HZ - 1, True), (RATE_MIN_HZ, False), (120, False)]
 )
 def test_slow_frames_are_named_and_fast_ones_are_not(hz, slow):
     stream = CameraStream()
     assert stream.slow_text == ""
     for k in range(int(2 * hz)):
-        stream.advance(frame(round(k * SECOND / hz)), False)
+        stream.add_frame(frame(round(k * SECOND / hz)), False)
     text = stream.slow_text
     assert text.startswith(f"; only {hz:.0f} images per second came") if slow else text == ""
 
@@ -180,9 +180,9 @@ def test_slow_frames_are_named_and_fast_ones_are_not(hz, slow):
 def test_a_camera_that_repeats_itself_is_noticed_in_the_stream():
     stream = CameraStream()
     for k, row in enumerate(noisy(NOISE_FRAMES + 1)):
-        stream.advance(frame(k * MS, poses(*row)), False)
+        stream.add_frame(frame(k * MS, poses(*row)), False)
         assert not stream.repeats
-    stream.advance(frame(SECOND, poses(*row)), False)
+    stream.add_frame(frame(SECOND, poses(*row)), False)
     assert stream.repeats
-    stream.advance(frame(2 * SECOND, poses(1, 2)), False)
+    stream.add_frame(frame(2 * SECOND, poses(1, 2)), False)
     assert not stream.repeats

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
-from tetractl.lab.drift_check import LARGEST, TOGETHER, Changes, DriftCheck
+from tetractl.lab.drift_check import DRIFT_TOGETHER, INVERSE_LARGEST, Changes, DriftCheck
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import LabLimits
 
@@ -91,7 +91,7 @@ class Watched:
             return ""
         pairs = zip(before, poses, strict=True)
         self.motions.travelled += [RobotStep.between(then, pose).way for then, pose in pairs]
-        aborts = self.check.frame(now_ns, [now_ns] * len(poses), poses)
+        aborts = self.check.check_frame(now_ns, [now_ns] * len(poses), poses)
         return aborts[0].text if aborts else ""
 
 
@@ -128,7 +128,7 @@ def drifting(
     for now_ns in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
         if now_ns == FRAME_NS or is_due(now_ns, rate_hz):
             turning = random.uniform(-most, most, 3)
-            watched.check.sent(now_ns - RADIO_NS, [SPEED] * 3, turning)
+            watched.check.record_transmission(now_ns - RADIO_NS, [SPEED] * 3, turning)
         if now_ns == rest_ns:
             watched.check.start()
         t = now_ns / SECOND
@@ -193,7 +193,7 @@ def test_a_picture_that_turns_is_the_cameras():
         x, y, _ = places.T
         return angle * np.column_stack([-y, x, np.ones(3)])
 
-    assert drifting(turned).text == TOGETHER
+    assert drifting(turned).text == DRIFT_TOGETHER
 
 
 def turning_of_straight_robots(seconds, astray):
@@ -204,11 +204,11 @@ def turning_of_straight_robots(seconds, astray):
     robots = Robots(random, share=0.0, astray=lambda t: np.where(speed > 0, astray, 0.0))
     watched = Watched()
     for now_ns in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
-        watched.check.sent(now_ns - RADIO_NS, speed, np.zeros(3))
+        watched.check.record_transmission(now_ns - RADIO_NS, speed, np.zeros(3))
         robots.move(speed, np.zeros(3), now_ns / SECOND)
         rows = robots.places + random.normal(0, 0.003, (3, 3))
         watched.see(now_ns, [Pose(*row) for row in rows.tolist()])
-    rates, errors = watched.check.turning()
+    rates, errors = watched.check.estimate_turning()
     return np.array(rates), np.array(errors)
 
 
@@ -273,14 +273,14 @@ class TurningPose:
 def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
     said = drifting(TurningPose(), 6.0, share=0.0)
     assert said.text == ""
-    turns = said.check.turns()
+    turns = said.check.describe_turning()
     rate, error = map(float, re.search(r"green ([+\d.]+) ± ([\d.]+) rad/s$", turns).groups())
     assert rate == pytest.approx(0.2, abs=3 * error + 0.02)
     assert "blue" not in turns
 
 
 def test_of_a_trial_without_motion_no_turns_are_known():
-    assert Watched().check.turning() == ((), ())
+    assert Watched().check.estimate_turning() == ((), ())
 
 
 PICTURE = slice(3, 7)
@@ -306,9 +306,9 @@ def test_the_shift_of_all_robots_is_that_of_least_squares_weighted_by_their_nois
     rng = np.random.default_rng(7731)
     noise = np.array([1.0, 3.0, 8.0])
     changes = random_changes(rng, 2, 3, noise)
-    shifts, gains = bare_check()._shift_of_all(changes)
+    shifts, gains = bare_check()._fit_image_motion(changes)
     for g in range(2):
-        squares = np.diag(LARGEST[PICTURE])
+        squares = np.diag(INVERSE_LARGEST[PICTURE])
         pulls = np.zeros(4)
         for n in range(3):
             squares = squares + changes.squares[g, n][PICTURE, PICTURE] / noise[n]
@@ -317,8 +317,8 @@ def test_the_shift_of_all_robots_is_that_of_least_squares_weighted_by_their_nois
         assert shifts[g] == pytest.approx(expected)
         assert gains[g] == pytest.approx(pulls @ expected)
         # what each robot gains adds up to the reduction, apart from the prior
-        of_robots = bare_check()._gains_of_shift(changes, g, shifts[g])
-        of_prior = expected @ np.diag(LARGEST[PICTURE]) @ expected
+        of_robots = bare_check()._compute_gains(changes, g, shifts[g])
+        of_prior = expected @ np.diag(INVERSE_LARGEST[PICTURE]) @ expected
         assert of_robots.sum() - of_prior == pytest.approx(gains[g])
         for n in range(3):
             pull = changes.pulls[g, n][PICTURE]
@@ -329,7 +329,7 @@ def test_the_shift_of_all_robots_is_that_of_least_squares_weighted_by_their_nois
 
 def test_one_robot_alone_gives_no_evidence_of_a_motion_of_the_image():
     changes = random_changes(np.random.default_rng(7732), 2, 1, np.ones(1))
-    _, gains = bare_check(("one",))._shift_of_all(changes)
+    _, gains = bare_check(("one",))._fit_image_motion(changes)
     assert gains.tolist() == [0, 0]
 
 
@@ -358,10 +358,10 @@ def test_errors_of_wheels_delays_drifts_and_pictures_move_robots_by_the_equation
     commands = rng.normal(size=(5, 2)) * (100.0, 2.0)  # by delay: speed and turning rate
     check = bare_check()
     check._radius = radius
-    check._commanded = lambda block: commands
+    check._find_commands = lambda block: commands
     motion = rng.normal(size=3)
     block = RobotStep(motion, motion, round(dt_s * SECOND), before=Pose(300.0, -200.0, 0.0))
-    (row,), (variance,) = check._regressors([block], motion[None])
+    (row,), (variance,) = check._build_columns([block], motion[None])
     v, w = commands[0]
     assert row[:, 0] == pytest.approx(motion - [v * dt_s, 0.0, w * dt_s])
     s, k, d, b, f, aside = unknowns = rng.normal(size=6)

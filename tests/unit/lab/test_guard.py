@@ -20,10 +20,10 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frame_buffer import FrameBuffer
-from tetractl.lab.guard import BUSY, Guard, GuardState
+from tetractl.lab.guard import BUSY_BEFORE, Guard, GuardState
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import PUSHED
+from tetractl.lab.motion_check import PUSHED_QUESTION
 from tetractl.spec.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
 
 pytestmark = pytest.mark.slow
@@ -219,11 +219,11 @@ class Writes(GuardCheck):
     def __init__(self):
         self.asked = []
 
-    def pose(self, robot, before, pose):
+    def check_pose(self, robot, before, pose):
         self.asked.append(("pose", robot))
         yield from ()
 
-    def pause(self, robot, before, pose, now_ns):
+    def check_pause(self, robot, before, pose, now_ns):
         self.asked.append(("pause", robot))
         yield from ()
 
@@ -246,11 +246,11 @@ def test_late_steps_abort_in_a_row_only():
     course = running()
     for _ in range(20):
         for _ in range(RULES.limits.late_steps - 1):
-            course.guard.note_step(True)
-        course.guard.note_step(False)
+            course.guard.record_step(True)
+        course.guard.record_step(False)
     assert course.guard.state is GuardState.RUN
     for _ in range(RULES.limits.late_steps):
-        course.guard.note_step(True)
+        course.guard.record_step(True)
     assert course.guard.reason == "5 control steps in a row were late"
 
 
@@ -491,10 +491,10 @@ class Finds(GuardCheck):
         self._at_ticks = at_ticks
         self._in_frames = in_frames
 
-    def tick(self, robots):
+    def check_places(self, robots):
         yield from self._at_ticks
 
-    def frame(self, now_ns, times, poses):
+    def check_frame(self, now_ns, times, poses):
         yield from self._in_frames
 
 
@@ -527,9 +527,9 @@ def test_the_computer_is_named_first_where_its_own_steps_were_late(frames_since,
     """Regression: on a busy computer robots or the camera were blamed for what late steps did:
     "green is not tracked (0.36 s)"."""
     course = begun_with_checks(Finds(), rules=RULES)
-    course.guard.note_step(missed=True)
+    course.guard.record_step(was_late=True)
     course.frames(frames_since)
-    course.guard.note_step(missed=False)
+    course.guard.record_step(was_late=False)
     if suspect is None:
         course.guard.lose_robot(0, "green is not tracked (0.36 s)")
     else:
@@ -538,19 +538,19 @@ def test_the_computer_is_named_first_where_its_own_steps_were_late(frames_since,
     shown = FrameBuffer()
     shown.append(course.accepted)
     course.guard.name_cause(shown)
-    assert course.guard.reason == BUSY * named + "green is not tracked (0.36 s)"
+    assert course.guard.reason == BUSY_BEFORE * named + "green is not tracked (0.36 s)"
 
 
 @pytest.mark.parametrize("late", [True, False])
 def test_the_computer_is_named_first_where_no_frame_came_after_late_steps(late):
     course = begun_with_checks(Finds(), rules=RULES)
     course.frame()
-    course.guard.note_step(missed=late)
+    course.guard.record_step(was_late=late)
     for _ in range(5):
         course.now_ns += SECOND // 10
         course.guard.note_direction(course.now_ns)
         course.tick()
-    assert course.guard.reason == BUSY * late + "no new camera frame for 0.50 s"
+    assert course.guard.reason == BUSY_BEFORE * late + "no new camera frame for 0.50 s"
 
 
 @pytest.mark.parametrize(("hz", "named"), [(14, True), (19, True), (21, False), (120, False)])
@@ -564,12 +564,12 @@ def test_slow_pictures_are_named_where_a_robot_is_blamed(hz, named, suspect):
         course.frame(step=SECOND // hz)
         shown.append(course.accepted)
     if suspect is None:
-        course.guard.lose_robot(0, f"green moves{PUSHED}")
+        course.guard.lose_robot(0, f"green moves{PUSHED_QUESTION}")
     else:
-        course.guard.abort(f"green moves{PUSHED}", suspect=suspect)
+        course.guard.abort(f"green moves{PUSHED_QUESTION}", suspect=suspect)
     course.guard.name_cause(shown)
     slow = f"; only {hz} images per second came, but at least 20 are needed: is this computer busy?"
-    assert course.guard.reason == "green moves" + (slow if named else PUSHED)
+    assert course.guard.reason == "green moves" + (slow if named else PUSHED_QUESTION)
 
 
 def test_rest_lets_nothing_move_and_needs_a_new_go():
@@ -647,7 +647,7 @@ class GuardMachine(RuleBasedStateMachine):
 
     @rule(missed=st.booleans())
     def step(self, missed):
-        self.guard.note_step(missed)
+        self.guard.record_step(missed)
 
     @invariant()
     def abort_is_for_good(self):
@@ -741,7 +741,7 @@ def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
         ruling = course.frame()
     assert (ruling.state, ruling.moving) == (GuardState.HOLD, (False, False))
     for _ in range(5):
-        course.guard.note_step(True)
+        course.guard.record_step(True)
     course.guard.note_direction(course.now_ns)
     assert course.frame().moving == (True, True)
     for _ in range(63):
@@ -768,9 +768,9 @@ def test_a_drift_is_the_same_in_every_unit():
         seen_rates = np.array([[210.0 / mm, 3.0 / mm, 1.02]])
         for now_ns in range(0, 20 * SECOND, FRAME):
             t = now_ns / SECOND
-            check.sent(now_ns, (200.0 / mm,), (1.0,))
+            check.record_transmission(now_ns, (200.0 / mm,), (1.0,))
             motions.travelled = seen_rates * t
-            check.frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),))
+            check.check_frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),))
         return check.worst
 
     assert worst_drift(mm=1.0) == pytest.approx(worst_drift(mm=1000.0))

@@ -10,7 +10,13 @@ from tetractl.core.guard_findings import Abort, Excess, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard import Guard, GuardState, Ruling
-from tetractl.lab.guard_observer import Act, GuardObserver, Unheeded, build_guard, check_of
+from tetractl.lab.guard_observer import (
+    Action,
+    GuardObserver,
+    ObservingCheck,
+    build_guard,
+    name_check,
+)
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import LabLimits
 
@@ -143,13 +149,13 @@ def test_a_camera_that_goes_silent_stops_all_in_observe_mode():
 def test_an_observer_names_check_robot_value_and_limit_and_goes_on():
     """A body that turns on and on ends the run again and again, each time by a new guard."""
     observer = Play(GuardObserver(ACTING)).run(turned, 4).guard
-    ends = [it for it in observer.interventions if it.act is Act.ENDS]
+    ends = [it for it in observer.interventions if it.act is Action.ENDS]
     assert len(ends) >= 2
     assert {(it.check, it.robot) for it in ends} <= {("motion", "green"), ("drift", "green")}
     first = ends[0].excess  # it has turned further to the left than commands allow
     assert (first.check, first.unit) == ("motion", "rad")
     assert first.value > first.limit > 0
-    refused = [it for it in observer.interventions if it.act is Act.REFUSES]
+    refused = [it for it in observer.interventions if it.act is Action.REFUSES]
     assert 0 < refused[0].t_ns - SECOND - SECOND // 2 < SECOND
     # between two guards no run is watched: a new one has to see both robots first
     assert 3 * SECOND < observer.watched_ns < 4 * SECOND
@@ -164,20 +170,20 @@ class Ticks(GuardCheck):
 
     statistical = True
 
-    def tick(self, robots):
+    def check_places(self, robots):
         yield Warn("green is slow")
         yield Abort("green is too slow")
 
 
 def test_a_statistical_check_of_decisions_is_asked_and_only_warns_in_observe_mode():
     """Regression: it was never asked, so it saw nothing and could not warn."""
-    assert list(Unheeded(Ticks()).tick(())) == [Warn("green is slow")]
+    assert list(ObservingCheck(Ticks()).check_places(())) == [Warn("green is slow")]
 
 
 def test_a_reason_of_a_plug_in_is_not_counted_as_one_of_the_guards_own():
     """Regression: every reason without a number was counted as a wrong height."""
-    assert check_of("green left the carpet", None) == "other"
-    assert check_of("its body is tilted by 0.31 rad", None) == "height"
+    assert name_check("green left the carpet", None) == "other"
+    assert name_check("its body is tilted by 0.31 rad", None) == "height"
 
 
 def test_a_robot_that_was_replaced_is_watched_as_a_new_one():
@@ -218,7 +224,7 @@ class ScriptedGuard:
     def refusal_excess(self, i):
         return Excess("motion", 9.0, 5.0, "mm", i) if self.refused[i] == "it moves" else None
 
-    def hides(self, i):
+    def is_hidden(self, i):
         return i in self.hidden
 
     def decide(self, now_ns):
@@ -263,7 +269,9 @@ def test_a_pose_that_stays_refused_and_a_robot_that_stays_stopped_count_once():
         observer.check_frame(k, CameraFrame(k, k, k, (None, None)))
         observer.decide(k)
     expected = [
-        (k, act, "blue", "it moves", "motion") for k in (0, 3) for act in (Act.REFUSES, Act.STOPS)
+        (k, act, "blue", "it moves", "motion")
+        for k in (0, 3)
+        for act in (Action.REFUSES, Action.STOPS)
     ]
     assert noted(observer) == expected
     assert observer.interventions[0].excess == Excess("motion", 9.0, 5.0, "mm", 1)
@@ -280,7 +288,7 @@ def test_a_robot_that_stops_without_a_refused_pose_is_not_tracked_or_has_no_fram
     observer, guard = scripted()
     guard.state, guard.hidden, guard.moving = state, hidden, (False, True)
     observer.decide(5)
-    assert noted(observer) == [(5, Act.STOPS, "green", text, check)]
+    assert noted(observer) == [(5, Action.STOPS, "green", text, check)]
 
 
 def test_a_lost_robot_that_stops_is_not_reported_again():
@@ -300,11 +308,11 @@ def test_an_end_of_the_run_is_reported_and_a_new_guard_knows_what_was_sent_latel
     observer, guard = scripted()
     for t_s in (0, 1, 2, 3):
         observer.note_transmission(t_s * SECOND, (t_s, 0.0), (0.0, 0.0))
-    assert [sent.sent_ns // SECOND for sent in observer._recent] == [1, 2, 3]
+    assert [sent.sent_ns // SECOND for sent in observer._recent_commands] == [1, 2, 3]
     guard.state, guard.excess = GuardState.ABORT, excess
-    observer.note_step(4 * SECOND, missed=True)
-    assert ("note_step", True) in guard.calls
-    assert noted(observer) == [(4 * SECOND, Act.ENDS, robot, "too far", check)]
+    observer.record_step(4 * SECOND, was_late=True)
+    assert ("record_step", True) in guard.calls
+    assert noted(observer) == [(4 * SECOND, Action.ENDS, robot, "too far", check)]
     assert isinstance(observer._guard, Guard)
     assert observer._guard.state is GuardState.READY
 

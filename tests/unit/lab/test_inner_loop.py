@@ -54,7 +54,7 @@ def fail_at_stops(lab, error):
 @pytest.fixture
 def hung(lab, monkeypatch):
     """A running lab whose loop hangs in a step of its own thread: the camera returns no frames."""
-    monkeypatch.setattr(inner_loop, "STOP_S", 0.01)
+    monkeypatch.setattr(inner_loop, "STOP_TIMEOUT_S", 0.01)
     loop = lab.plant.rig.loop
     lab.clock.steps.remove(loop.step)
     entered = threading.Event()
@@ -139,7 +139,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(lab, monkeypatch)
         def __init__(self, rules, drift, frames):
             assert frames
 
-        def why(self, suspect, reason):
+        def explain(self, suspect, reason):
             sent.append(lab.actuator.sent[-1].direction)
             return "the camera"
 

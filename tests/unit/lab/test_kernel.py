@@ -15,18 +15,18 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.kernel import (
-    Pace,
-    Places,
-    asleep,
-    beyond_edge,
-    driven,
-    frameless,
+    ControlPace,
+    PlaceCheck,
+    check_direction,
+    check_frame_age,
+    check_program,
+    check_speed,
+    check_tracking,
+    compute_edge_excess,
+    distance_outside,
+    drive_ahead,
+    find_too_close,
     may_move,
-    outside,
-    too_close,
-    too_fast,
-    undirected,
-    untracked,
 )
 from tetractl.spec.lab_section import LabLimits
 
@@ -44,23 +44,23 @@ RULES = GuardRules(
 
 
 def places(speed=0.0, turning=0.0):
-    checked_places = Places(RULES)
-    checked_places.sent(0, (speed,), (turning,))
+    checked_places = PlaceCheck(RULES)
+    checked_places.record_transmission(0, (speed,), (turning,))
     return checked_places
 
 
 def test_a_robot_in_an_obstacle_is_found_there_whatever_it_is_commanded():
     checked_places = places()
-    assert not checked_places.entered(0, Pose(395.0, 500.0, 0.0))
-    assert checked_places.entered(0, Pose(401.0, 500.0, 0.0))
+    assert not checked_places.check_obstacles(0, Pose(395.0, 500.0, 0.0))
+    assert checked_places.check_obstacles(0, Pose(401.0, 500.0, 0.0))
 
 
 def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
     """By 100 mm ahead in half a second, or round an eighth of a circle."""
-    assert places(speed=200.0).entered(0, Pose(310.0, 500.0, 0.0))
-    assert not places(speed=200.0).entered(0, Pose(290.0, 500.0, 0.0))
-    assert not places(speed=200.0, turning=math.pi).entered(0, Pose(330.0, 500.0, 0.0))
-    assert not places(speed=200.0).entered(0, Pose(310.0, 500.0, math.pi))
+    assert places(speed=200.0).check_obstacles(0, Pose(310.0, 500.0, 0.0))
+    assert not places(speed=200.0).check_obstacles(0, Pose(290.0, 500.0, 0.0))
+    assert not places(speed=200.0, turning=math.pi).check_obstacles(0, Pose(330.0, 500.0, 0.0))
+    assert not places(speed=200.0).check_obstacles(0, Pose(310.0, 500.0, math.pi))
 
 
 @given(
@@ -80,32 +80,32 @@ def test_a_robot_enters_an_obstacle_if_the_end_of_its_arc_is_inside(
     y = 500 + away * math.sin(bearing) - speed * 0.5 * np.sin(courses).mean()
     assume(math.hypot(x - 500, y - 500) > 120)  # it does not touch the obstacle yet
     assume(abs(away - 100) > 0.1)
-    entered = places(speed, turning).entered(0, Pose(x, y, heading)) is not None
+    entered = places(speed, turning).check_obstacles(0, Pose(x, y, heading)) is not None
     assert entered == (away < 100)
 
 
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():
     checked_places = places(speed=200.0)
-    assert not checked_places.entered(0, Pose(410.0, 500.0, 0.0))
-    assert not checked_places.entered(0, Pose(405.0, 500.0, 0.0))
-    assert checked_places.entered(0, Pose(408.0, 500.0, 0.0))
+    assert not checked_places.check_obstacles(0, Pose(410.0, 500.0, 0.0))
+    assert not checked_places.check_obstacles(0, Pose(405.0, 500.0, 0.0))
+    assert checked_places.check_obstacles(0, Pose(408.0, 500.0, 0.0))
     checked_places.start()
-    assert not checked_places.entered(0, Pose(408.0, 500.0, 0.0))
+    assert not checked_places.check_obstacles(0, Pose(408.0, 500.0, 0.0))
 
 
 def test_the_depth_beyond_its_limit_is_stated_where_it_was_found():
     """The disc begins at x = 400. The limit is 0, or for a robot that has touched the disc the
     least depth so far, plus 2 mm of noise."""
     standing = places()
-    assert standing.entered(0, Pose(395.0, 500.0, 0.0)) is None
-    now = standing.entered(0, Pose(401.0, 500.0, 0.0))
+    assert standing.check_obstacles(0, Pose(395.0, 500.0, 0.0)) is None
+    now = standing.check_obstacles(0, Pose(401.0, 500.0, 0.0))
     assert (now.check, now.unit, now.robot) == ("obstacle", "mm", 0)
     assert (now.value, now.limit) == (pytest.approx(1.0), 0.0)
-    after_reaction = places(speed=200.0).entered(0, Pose(310.0, 500.0, 0.0))
+    after_reaction = places(speed=200.0).check_obstacles(0, Pose(310.0, 500.0, 0.0))
     assert (after_reaction.value, after_reaction.limit) == (pytest.approx(10.0), 0.0)
     touching = places(speed=200.0)
-    touching.entered(0, Pose(405.0, 500.0, 0.0))
-    deeper = touching.entered(0, Pose(408.0, 500.0, math.pi))  # it would leave
+    touching.check_obstacles(0, Pose(405.0, 500.0, 0.0))
+    deeper = touching.check_obstacles(0, Pose(408.0, 500.0, math.pi))  # it would leave
     assert (deeper.value, deeper.limit) == (pytest.approx(8.0), pytest.approx(5.0 + 2.0))
 
 
@@ -119,7 +119,7 @@ def test_the_depth_beyond_its_limit_is_stated_where_it_was_found():
     ],
 )
 def test_a_pose_is_too_fast_beyond_twice_the_robots_speed(pose, dt_s, excess):
-    found = too_fast(RULES, 0, Pose(0.0, 0.0, 0.0), pose, round(dt_s * SECOND))
+    found = check_speed(RULES, 0, Pose(0.0, 0.0, 0.0), pose, round(dt_s * SECOND))
     if excess is None:
         assert found is None
     else:
@@ -129,25 +129,27 @@ def test_a_pose_is_too_fast_beyond_twice_the_robots_speed(pose, dt_s, excess):
 
 
 def test_nobody_moves_by_a_frame_that_is_older_than_stale():
-    assert may_move(RULES, Pace(), frame_ns=0, now_ns=SECOND // 10)
-    assert not may_move(RULES, Pace(), frame_ns=0, now_ns=SECOND // 10 + 1)
+    assert may_move(RULES, ControlPace(), frame_ns=0, now_ns=SECOND // 10)
+    assert not may_move(RULES, ControlPace(), frame_ns=0, now_ns=SECOND // 10 + 1)
 
 
 def test_robots_that_turn_wait_for_a_direction_longer_than_robots_that_drive_but_not_for_ever():
     """Driving, the limit is `silence_ns`, 2 s; turning, half a second comes on top."""
-    ahead = Pace(ahead=True)
-    turning = Pace(ahead=False)
-    assert undirected(RULES, ahead, 2 * SECOND) is not None
-    assert undirected(RULES, turning, 9 * SECOND) is None
+    ahead = ControlPace(ahead=True)
+    turning = ControlPace(ahead=False)
+    assert check_direction(RULES, ahead, 2 * SECOND) is not None
+    assert check_direction(RULES, turning, 9 * SECOND) is None
     still_ns = RULES.silence_ns + SECOND
     assert not may_move(RULES, turning, frame_ns=still_ns, now_ns=still_ns)
 
 
 def test_an_age_at_its_limit_counts_as_too_old():
-    assert untracked(RULES, 0, 299_999_999) is None
-    assert untracked(RULES, 0, 300_000_000).value == 0.3
-    assert asleep(RULES, Pace(ticked_ns=None), 9 * SECOND) is None  # nothing was decided yet
-    assert asleep(RULES, Pace(ticked_ns=0), SECOND // 2).limit == 0.5
+    assert check_tracking(RULES, 0, 299_999_999) is None
+    assert check_tracking(RULES, 0, 300_000_000).value == 0.3
+    assert (
+        check_program(RULES, ControlPace(ticked_ns=None), 9 * SECOND) is None
+    )  # nothing was decided yet
+    assert check_program(RULES, ControlPace(ticked_ns=0), SECOND // 2).limit == 0.5
 
 
 @given(
@@ -159,12 +161,12 @@ def test_an_age_counts_from_what_was_last_done(since_ns, age_ns, limit_s):
     limits = LabLimits(stream_lost=limit_s, untracked_abort=limit_s)
     rules = replace(RULES, limits=limits, silence_ns=round(limit_s * SECOND))
     now_ns = since_ns + age_ns
-    pace = Pace(ticked_ns=since_ns, directed_ns=since_ns)
+    pace = ControlPace(ticked_ns=since_ns, directed_ns=since_ns)
     found = {
-        "program": asleep(rules, pace, now_ns),
-        "direction": undirected(rules, pace, now_ns),
-        "frame": frameless(rules, since_ns, now_ns),
-        "tracking": untracked(rules, 0, age_ns),
+        "program": check_program(rules, pace, now_ns),
+        "direction": check_direction(rules, pace, now_ns),
+        "frame": check_frame_age(rules, since_ns, now_ns),
+        "tracking": check_tracking(rules, 0, age_ns),
     }
     for name, excess in found.items():
         assert (excess is not None) == (age_ns >= limit_s * SECOND)
@@ -184,8 +186,8 @@ def test_robots_move_by_fresh_frames_and_turn_for_a_while_without_a_direction(
 ):
     now_ns = frame_ns + age_ns
     fresh = age_ns <= RULES.limits.stale * SECOND
-    assert may_move(RULES, Pace(ahead=True), frame_ns, now_ns) == fresh
-    turning = Pace(ahead=False, directed_ns=now_ns - waited_ns)
+    assert may_move(RULES, ControlPace(ahead=True), frame_ns, now_ns) == fresh
+    turning = ControlPace(ahead=False, directed_ns=now_ns - waited_ns)
     waits = waited_ns < PAUSE_S * SECOND + RULES.silence_ns
     assert may_move(RULES, turning, frame_ns, now_ns) == (fresh and waits)
 
@@ -202,10 +204,12 @@ IN_METRES = replace(
 
 def test_a_distance_is_told_in_millimetres_whatever_the_unit_of_the_spec():
     jump_m = IN_METRES.limits.jump_mm / 1000
-    far = too_fast(IN_METRES, 0, Pose(0.1, 0.1, 0.0), Pose(0.9, 0.1, 0.0), SECOND // 10)
+    far = check_speed(IN_METRES, 0, Pose(0.1, 0.1, 0.0), Pose(0.9, 0.1, 0.0), SECOND // 10)
     assert (far.value, far.limit) == pytest.approx((800.0, 40.0 + 1000 * jump_m))
-    assert too_fast(IN_METRES, 0, Pose(0, 0, 0), Pose(0.039 + jump_m, 0, 0), SECOND // 10) is None
-    beyond = beyond_edge(IN_METRES, 0, Pose(1.03, -0.04, 0.0))
+    assert (
+        check_speed(IN_METRES, 0, Pose(0, 0, 0), Pose(0.039 + jump_m, 0, 0), SECOND // 10) is None
+    )
+    beyond = compute_edge_excess(IN_METRES, 0, Pose(1.03, -0.04, 0.0))
     assert (beyond.value, beyond.unit) == (pytest.approx(50.0), "mm")
 
 
@@ -215,12 +219,12 @@ def test_a_distance_is_told_in_millimetres_whatever_the_unit_of_the_spec():
      (0.5, 1.4, 0.4), (1.3, 1.4, 0.5)],
 )  # fmt: skip
 def test_a_pose_outside_has_its_distance_from_the_arena(x, y, distance):
-    assert outside(IN_METRES.arena, Pose(x, y, 0.0)) == pytest.approx(distance)
+    assert distance_outside(IN_METRES.arena, Pose(x, y, 0.0)) == pytest.approx(distance)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-5, 5))
 def test_a_robot_is_driven_along_its_heading(heading, way):
-    pose = driven(Pose(3.0, 4.0, heading), way)
+    pose = drive_ahead(Pose(3.0, 4.0, heading), way)
     assert (pose.x - 3.0, pose.y - 4.0) == pytest.approx(
         (way * math.cos(heading), way * math.sin(heading))
     )
@@ -232,7 +236,7 @@ def pairs(now, then):
     poses = [
         {name: Pose(x, 0.5, 0.0) for name, x in zip(names, row, strict=True)} for row in (now, then)
     ]
-    return [(abort.text, abort.excess.value) for abort in too_close(*poses, IN_METRES)]
+    return [(abort.text, abort.excess.value) for abort in find_too_close(*poses, IN_METRES)]
 
 
 def test_robots_that_come_too_close_are_named_and_those_that_part_are_not():

@@ -13,17 +13,17 @@ from tetractl.core.robot_step import PARTS
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
-    ANOTHER,
-    BACKWARD,
     DOES_NOT_MOVE,
-    OF_CELLS,
+    MESSAGES_OF_CELLS,
+    MOVES_BACKWARD,
+    MOVES_UNEXPLAINED,
     SLACK_RAD,
-    WRONG_WAY,
+    TURNS_WRONG_WAY,
     MotionCheck,
-    excess_of,
-    exclude_zero,
-    fault_of,
-    out_of_bounds,
+    are_out_of_bounds,
+    compute_excess,
+    describe_fault,
+    exclude_standstill,
 )
 from tetractl.spec.lab_section import UNTRACKED_STOP_S, LabLimits
 
@@ -141,7 +141,7 @@ def drive(
             heading = 0.0 if before is None else before.heading
             speed = 0.0 if t > stop else SPEED
             turning = 0.0 if t > stop else A * math.sin(u - heading)
-            check.sent(next_ns, [speed], [turning])
+            check.record_transmission(next_ns, [speed], [turning])
             if random.random() >= lost:
                 robot.send(next_ns, speed, turning)
             next_ns += SEND
@@ -149,7 +149,7 @@ def drive(
         pose = seen_as(t, robot.pose) if t > 0 else robot.pose
         dx, dy, turned = random.normal(0, 1.0, 3) * NOISE
         pose = Pose(pose.x + dx, pose.y + dy, pose.heading + turned)
-        check.exposed((now_ns,))
+        check.record_exposures((now_ns,))
         fault = None if before is None else check.take_pose(0, before, pose)
         if fault is not None:
             return Fault(fault.text, t)
@@ -221,11 +221,11 @@ def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
     """Regression: it was said to move around as no command does."""
     check = check_of_one()
     for k in range(40):
-        check.sent(k * SEND, [0.0], [A])
+        check.record_transmission(k * SEND, [0.0], [A])
     stands = Pose(900.0, 800.0, 0.0)
     faults = []
     for now in range(20 * SEND, 40 * SEND, FRAME):
-        check.exposed((now,))
+        check.record_exposures((now,))
         faults.append(check.take_pose(0, stands, stands))
     assert {fault and fault.text for fault in faults} == {None, DOES_NOT_MOVE}
 
@@ -247,16 +247,16 @@ def test_a_standing_robot_that_is_seen_to_move_or_turn_is_noticed(camera, within
 def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
     check = check_of_one()
     for k in range(20):
-        check.sent(k * SEND, [SPEED], [0.0])
+        check.record_transmission(k * SEND, [SPEED], [0.0])
     last_ns = 19 * SEND  # of the packets
     stands_ns = last_ns + WATCHDOG
 
     def pose_at(now_ns):
         return Pose(SPEED * min(now_ns, stands_ns) / SECOND, 0, 0)
 
-    check.exposed((last_ns,))
+    check.record_exposures((last_ns,))
     for now_ns in range(last_ns + FRAME, 2 * SECOND, FRAME):
-        check.exposed((now_ns,))
+        check.record_exposures((now_ns,))
         assert check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)) is None
 
 
@@ -272,15 +272,15 @@ def refused_repeats(seen_as, goes_ns, rests_ns, *, ends=NEVER_S, delay=0.25):
     for now_ns in range(FRAME, 3 * SECOND, FRAME):
         if now_ns < ends * SECOND:
             speed = SPEED if now_ns % (goes_ns + rests_ns) < goes_ns else 0.0
-            check.sent(now_ns, [speed], [0.0])
+            check.record_transmission(now_ns, [speed], [0.0])
             robot.send(now_ns, speed, 0.0)
         robot.move(now_ns, 0.0)
         pose = seen_as(robot.pose)
-        check.exposed((now_ns,))
+        check.record_exposures((now_ns,))
         if pose != before:
             assert check.take_pose(0, before, pose) is None
             before = pose
-        elif list(check.repeat(0)):
+        elif list(check.check_repeat(0)):
             refused.append(now_ns / SECOND)
     return refused
 
@@ -303,12 +303,12 @@ def test_a_gap_in_the_frames_is_bridged():
     """A robot on a circle of 60 mm, by 180 mm/s and 3 rad/s, is not seen for 0.29 s."""
     check = check_of_one()
     for step in range(60):
-        check.sent(step * SEND, [SPEED], [3.0])
+        check.record_transmission(step * SEND, [SPEED], [3.0])
     before = None
     for t in (0.5, 0.51, 0.8):
         turned = 3 * t
         pose = Pose(60 * math.sin(turned), 60 * (1 - math.cos(turned)), turned)
-        check.exposed((round(t * SECOND),))
+        check.record_exposures((round(t * SECOND),))
         assert check.take_pose(0, before or pose, pose) is None
         before = pose
 
@@ -322,12 +322,12 @@ def test_a_cell_has_no_drive(radius, part):
         t = now_ns / SECOND
         return Pose(900 + SPEED * t, 800.0, -2.0 * t)
 
-    check.sent(FRAME, [SPEED], [2.0])
-    check.exposed((FRAME,))
+    check.record_transmission(FRAME, [SPEED], [2.0])
+    check.record_exposures((FRAME,))
     faults = []
     for now_ns in range(2 * FRAME, 2 * SECOND, FRAME):
-        check.sent(now_ns, [SPEED], [2.0])
-        check.exposed((now_ns,))
+        check.record_transmission(now_ns, [SPEED], [2.0])
+        check.record_exposures((now_ns,))
         faults.append(check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)))
     first_fault = next(filter(None, faults))
     assert part in first_fault.text
@@ -358,10 +358,10 @@ def test_the_excess_is_the_part_furthest_out_and_its_nearer_bound_in_mm_or_rad(
 ):
     """The spec's unit of length is 2 mm here."""
     motion = IN_BOUNDS.copy()
-    assert not out_of_bounds(motion, SLACK).any()
+    assert not are_out_of_bounds(motion, SLACK).any()
     motion[0, part] = travelled
-    assert np.flatnonzero(out_of_bounds(motion, SLACK)).tolist() == [part]
-    excess = excess_of(motion, SLACK, 2.0, robot=3)
+    assert np.flatnonzero(are_out_of_bounds(motion, SLACK)).tolist() == [part]
+    excess = compute_excess(motion, SLACK, 2.0, robot=3)
     assert (excess.value, excess.limit) == pytest.approx((value, limit), abs=1e-12)
     assert (excess.unit, excess.robot) == (unit, 3)
 
@@ -378,7 +378,7 @@ def test_the_excess_is_the_part_furthest_out_and_its_nearer_bound_in_mm_or_rad(
     ],
 )
 def test_bounds_exclude_zero_if_a_part_must_have_one_sign(bounds, excluded):
-    assert bool(exclude_zero(np.array(bounds, dtype=float))) is excluded
+    assert bool(exclude_standstill(np.array(bounds, dtype=float))) is excluded
 
 
 @pytest.mark.parametrize(
@@ -387,8 +387,8 @@ def test_bounds_exclude_zero_if_a_part_must_have_one_sign(bounds, excluded):
         (0, 0, 0, (100, 0), DOES_NOT_MOVE),
         (0, 0, 0, (0, 2.0), DOES_NOT_MOVE),
         (40, 0, 0, (40, 2.0), "around"),
-        (-50, 0, 0, (100, 0), BACKWARD),
-        (0, 0, -2.0, (0, 2.0), WRONG_WAY),
+        (-50, 0, 0, (100, 0), MOVES_BACKWARD),
+        (0, 0, -2.0, (0, 2.0), TURNS_WRONG_WAY),
         (50, 0, 0, (100, 0), "along"),
         (50, 0, 0, (0, 0), "along"),
         (-50, 0, 0, (5, 0), "along"),
@@ -402,11 +402,11 @@ def test_a_motion_that_no_command_explains_is_described_by_its_first_reason(
     commanded_along, commanded_around = bounds
     commanded = [commanded_along, 0.0, commanded_around]
     motion = np.array([[along, across, around], commanded, commanded], dtype=float)
-    said = fault_of(motion, SLACK, has_wheels=True)
+    said = describe_fault(motion, SLACK, has_wheels=True)
     expected = {"along": PARTS[0], "across": PARTS[1], "around": PARTS[2]}
-    assert said == (ANOTHER.format(expected[text]) if text in expected else text)
-    of_cell = fault_of(motion, SLACK, has_wheels=False)
-    assert of_cell == OF_CELLS.get(said, said)
+    assert said == (MOVES_UNEXPLAINED.format(expected[text]) if text in expected else text)
+    of_cell = describe_fault(motion, SLACK, has_wheels=False)
+    assert of_cell == MESSAGES_OF_CELLS.get(said, said)
 
 
 @pytest.mark.parametrize("mm", [1.0, 1000.0, 0.01])
@@ -419,9 +419,9 @@ def test_a_standing_robot_may_be_off_by_its_slack_and_noise_in_any_unit(mm, off_
     for angle in np.arange(4) * math.pi / 2:
         check = MotionCheck(rules, 2.0 / mm, 0.12)
         before = Pose(900.0 / mm, 800.0 / mm, 0.0)
-        check.exposed((FRAME,))
+        check.record_exposures((FRAME,))
         assert check.take_pose(0, before, before) is None
-        check.exposed((2 * FRAME,))
+        check.record_exposures((2 * FRAME,))
         off = off_mm / mm
         pose = Pose(before.x + off * math.cos(angle), before.y + off * math.sin(angle), 0.0)
         fault = check.take_pose(0, before, pose)
@@ -439,9 +439,9 @@ def test_a_standing_robot_may_turn_by_its_slack_and_twice_the_error_of_a_heading
     for off_rad, refused in [(limit_rad - 1e-3, False), (limit_rad + 1e-3, True)]:
         check = MotionCheck(rules, 2.0, 0.12)
         before = Pose(900.0, 800.0, 0.0)
-        check.exposed((FRAME,))
+        check.record_exposures((FRAME,))
         check.take_pose(0, before, before)
-        check.exposed((2 * FRAME,))
+        check.record_exposures((2 * FRAME,))
         fault = check.take_pose(0, before, Pose(900.0, 800.0, sign * off_rad))
         assert (fault is not None) is refused
 
@@ -449,8 +449,8 @@ def test_a_standing_robot_may_turn_by_its_slack_and_twice_the_error_of_a_heading
 def test_a_robot_that_moves_in_a_pause_is_reported_after_a_while_from_where_it_stood():
     check = check_of_one()
     stood = Pose(900.0, 800.0, 0.0)
-    check.exposed((FRAME,))
-    assert list(check.pause(0, stood, stood, FRAME)) == []
+    check.record_exposures((FRAME,))
+    assert list(check.check_pause(0, stood, stood, FRAME)) == []
     limit_ns = round(UNTRACKED_STOP_S * SECOND)
     moved = Pose(920.0, 800.0, 0.0)
     first_ns = 2 * FRAME
@@ -459,10 +459,12 @@ def test_a_robot_that_moves_in_a_pause_is_reported_after_a_while_from_where_it_s
         (first_ns + limit_ns, False),
         (first_ns + limit_ns + 1, True),
     ]:
-        check.exposed((now_ns,))
-        findings = list(check.pause(0, stood if now_ns == first_ns else moved, moved, now_ns))
+        check.record_exposures((now_ns,))
+        findings = list(check.check_pause(0, stood if now_ns == first_ns else moved, moved, now_ns))
         assert [finding.robot for finding in findings] == ([0] if reported else [])
-    check.exposed((now_ns + FRAME,))
-    assert list(check.pause(0, moved, stood, now_ns + FRAME)) == [], "it is back"
-    check.exposed((now_ns + 2 * FRAME,))
-    assert list(check.pause(0, stood, moved, now_ns + 2 * FRAME)) == [], "the count begins again"
+    check.record_exposures((now_ns + FRAME,))
+    assert list(check.check_pause(0, moved, stood, now_ns + FRAME)) == [], "it is back"
+    check.record_exposures((now_ns + 2 * FRAME,))
+    assert list(check.check_pause(0, stood, moved, now_ns + 2 * FRAME)) == [], (
+        "the count begins again"
+    )

@@ -17,10 +17,10 @@ from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.preflight import (
     Preflight,
     RobotFinding,
-    _latency_ms,
+    _compute_latency_ms,
+    describe_unplaced,
     inspect,
-    look_over,
-    unplaced,
+    inspect_lab,
 )
 from tetractl.lab.rig import Rig
 from tetractl.spec.lab_section import LabLimits
@@ -40,7 +40,7 @@ def test_a_good_lab_has_no_problem():
 
 def test_facts_name_emulated_devices_only_if_there_are_any(monkeypatch):
     assert EMULATED_DEVICES not in looked_over().facts
-    monkeypatch.setattr(Rig, "emulated", lambda *devices: ["camera", "robots"])
+    monkeypatch.setattr(Rig, "list_emulated", lambda *devices: ["camera", "robots"])
     assert looked_over().facts[EMULATED_DEVICES] == "camera, robots"
 
 
@@ -92,7 +92,7 @@ def test_all_missing_devices_are_problems_beside_those_of_the_others(missing):
     rig.actuator.poll = lambda timeout_s: [RobotStatus(False)] * 3
     for what in missing:
         setattr(rig, what, Missing(getattr(rig, what), what))
-    report = look_over(rig)
+    report = inspect_lab(rig)
     assert report.problems == tuple(f"there is no {what} (plug in the {what})" for what in missing)
     answers = [robot.status.answers for robot in report.robots]
     assert answers == [None if "actuator" in missing else False] * 3
@@ -235,7 +235,7 @@ def placed_rig(poses, mm=1.0, **limits):
         limits=LabLimits(**limits),
         setup=SimpleNamespace(names=("green", "blue")[:count], starts=starts),
         loop=SimpleNamespace(frames=SimpleNamespace(newest=seen)),
-        not_tracked=lambda i: f"robot {i} is not tracked",
+        describe_untracked=lambda i: f"robot {i} is not tracked",
     )
 
 
@@ -258,11 +258,11 @@ LIMITS = {"start_mm": 30.0, "start_heading": 0.3}
 )
 def test_a_robot_is_on_its_start_within_the_limits_in_any_unit(mm, dx, dy, turned, says):
     pose = Pose((10 + dx) / mm, (20 + dy) / mm, 3.0 + turned)
-    assert unplaced(placed_rig([pose], mm, **LIMITS)) == ([says] if says else [])
+    assert describe_unplaced(placed_rig([pose], mm, **LIMITS)) == ([says] if says else [])
 
 
 def test_a_robot_that_is_not_seen_is_named_as_that_and_not_as_misplaced():
-    lines = unplaced(placed_rig([Pose(10.0, 20.0, 3.0), None], **LIMITS))
+    lines = describe_unplaced(placed_rig([Pose(10.0, 20.0, 3.0), None], **LIMITS))
     assert lines == ["robot 1 is not tracked"]
 
 
@@ -279,18 +279,20 @@ def test_a_robot_that_is_not_seen_is_named_as_that_and_not_as_misplaced():
 )
 def test_quarter_turns_are_told_within_the_limit_of_headings(turned, says):
     poses = [Pose(10.0, 20.0, 3.0 + angle) for angle in turned]
-    lines = [line for line in unplaced(placed_rig(poses, **LIMITS)) if "does each tag" in line]
+    lines = [
+        line for line in describe_unplaced(placed_rig(poses, **LIMITS)) if "does each tag" in line
+    ]
     assert len(lines) == says
     elsewhere = [poses[0], Pose(99.0, 20.0, poses[1].heading)]
-    lines = unplaced(placed_rig(elsewhere, **LIMITS))
+    lines = describe_unplaced(placed_rig(elsewhere, **LIMITS))
     assert not any("does each tag" in line for line in lines), "it may be another robot's place"
 
 
 def test_one_robot_that_is_turned_is_named():
-    lines = unplaced(placed_rig([Pose(10.0, 20.0, 3.0 + math.pi / 2)], **LIMITS))
+    lines = describe_unplaced(placed_rig([Pose(10.0, 20.0, 3.0 + math.pi / 2)], **LIMITS))
     assert lines[-1].startswith("green is turned by +90 degrees")
     anywhere = placed_rig([Pose(10.0, 20.0, 3.0 + math.pi / 2)], start_heading=math.pi / 2)
-    assert unplaced(anywhere) == []
+    assert describe_unplaced(anywhere) == []
 
 
 @pytest.mark.parametrize(
@@ -299,7 +301,7 @@ def test_one_robot_that_is_turned_is_named():
 )
 def test_the_age_of_frames_on_arrival_is_their_median_and_maximum(ages_ms, latency_ms):
     frames = [CameraFrame(k, 100, 100 + age * 10**6, ()) for k, age in enumerate(ages_ms)]
-    assert _latency_ms(frames) == latency_ms
+    assert _compute_latency_ms(frames) == latency_ms
 
 
 def finding(*, misplaced="", untracked="", **status):

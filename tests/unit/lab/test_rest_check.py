@@ -15,16 +15,16 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.abort_cause import CAMERA
+from tetractl.lab.abort_cause import CAMERA_MOVED
 from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.preflight import inspect
 from tetractl.lab.rest_check import (
-    LATCHED,
-    LONGER,
+    LATCHED_WARNING,
+    WINDOW_MULTIPLES,
     Standstill,
-    drifting_robots,
-    moving_robots,
+    describe_drifting_robots,
+    describe_moving_robots,
     wait_for_rest,
 )
 from tetractl.spec.lab_section import UNTRACKED_STOP_S, LabLimits
@@ -111,7 +111,7 @@ def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
     show(lab, without_blue_from_half_a_second_on)
     with lab.plant.rig as rig:
         lab.clock.sleep_until(7 * SECOND // 10)
-        (line,) = moving_robots(rig)
+        (line,) = describe_moving_robots(rig)
     assert line.startswith("blue ")
     assert line.endswith(", so it is not seen to stand")
 
@@ -219,8 +219,10 @@ def test_what_noise_says_in_a_quarter_second_is_looked_at_for_longer(monkeypatch
     show_drift(lab, STILL, (), MOTIVE.noise, seed=509)
     with lab.plant.rig as rig:
         lab.clock.sleep_until(6 * SECOND // 5)
-        assert moving_robots(rig, LONGER[:1]) == ["green still moves (2 mm/s, +0.01 rad/s)"]
-        assert moving_robots(rig) == []
+        assert describe_moving_robots(rig, WINDOW_MULTIPLES[:1]) == [
+            "green still moves (2 mm/s, +0.01 rad/s)"
+        ]
+        assert describe_moving_robots(rig) == []
 
 
 def test_poses_that_drift_together_name_the_camera():
@@ -244,7 +246,7 @@ def test_a_robot_whose_pose_has_just_jumped_is_not_at_rest(ago_s):
     show(lab, green_jumps)
     with lab.plant.rig as rig:
         lab.clock.sleep_until(SECOND)
-        (line,) = moving_robots(rig)
+        (line,) = describe_moving_robots(rig)
     assert line.startswith("green still moves (")
 
 
@@ -303,10 +305,10 @@ class SeenRig:
             buffer.append(AcceptedFrame(CameraFrame(k, at_ns, at_ns, poses), poses, fresh))
         self.loop = SimpleNamespace(frames=buffer)
 
-    def silent_ns(self):
+    def measure_silence_ns(self):
         return 0
 
-    def not_tracked(self, i):
+    def describe_untracked(self, i):
         return f"{self.setup.names[i]} is not tracked"
 
 
@@ -333,34 +335,34 @@ def test_a_robot_stands_below_2_mm_and_a_fiftieth_of_a_turn_per_second_in_any_un
         return [Pose(x / mm, y / mm, 3.14 + turning * time_s)]
 
     rig = SeenRig(poses_of, mm)
-    assert bool(moving_robots(rig)) is moves
-    assert drifting_robots(rig) == moving_robots(rig)
+    assert bool(describe_moving_robots(rig)) is moves
+    assert describe_drifting_robots(rig) == describe_moving_robots(rig)
 
 
 def test_the_speed_of_a_moving_robot_is_told_in_mm_and_rad_per_second():
     rig = SeenRig(lambda at: [Pose(0.03 * at, 0.04 * at, -0.25 * at)], mm=1000.0)
-    assert moving_robots(rig) == ["green still moves (50 mm/s, -0.25 rad/s)"]
+    assert describe_moving_robots(rig) == ["green still moves (50 mm/s, -0.25 rad/s)"]
 
 
 def test_a_heading_that_passes_half_a_turn_is_no_motion():
     def poses_of(time_s):
         return [Pose(0.0, 0.0, math.pi if round(100 * time_s) % 2 else -math.pi)]
 
-    assert moving_robots(SeenRig(poses_of)) == []
+    assert describe_moving_robots(SeenRig(poses_of)) == []
 
 
 def test_robots_that_are_not_seen_do_not_count_as_moving():
     limit_s = UNTRACKED_STOP_S
     for gone_s, unseen in [(limit_s - 0.05, False), (limit_s + 0.05, True)]:
         rig = SeenRig(lambda at, gone=gone_s: [Pose(0, 0, 0) if at < 1.0 - gone else None])
-        said = moving_robots(rig)
+        said = describe_moving_robots(rig)
         assert said == (["green is not tracked, so it is not seen to stand"] if unseen else [])
-        assert drifting_robots(rig) == []
+        assert describe_drifting_robots(rig) == []
 
 
 @pytest.mark.parametrize(("frames", "seen"), [(30, True), (12, False)])
 def test_a_robot_must_be_watched_for_most_of_a_quarter_second(frames, seen):
-    said = moving_robots(SeenRig(lambda at: [Pose(0, 0, 0)], frames=frames))
+    said = describe_moving_robots(SeenRig(lambda at: [Pose(0, 0, 0)], frames=frames))
     assert said == ([] if seen else ["green has not been watched long enough"])
 
 
@@ -368,10 +370,10 @@ def test_all_robots_moving_is_one_line_and_one_of_them_is_its_own():
     def poses_of(moving):
         return lambda at: [Pose(50 * at * (i in moving), 0, 0) for i in range(2)]
 
-    assert moving_robots(SeenRig(poses_of((0, 1)), robots=2)) == [CAMERA]
-    (line,) = moving_robots(SeenRig(poses_of((1,)), robots=2))
+    assert describe_moving_robots(SeenRig(poses_of((0, 1)), robots=2)) == [CAMERA_MOVED]
+    (line,) = describe_moving_robots(SeenRig(poses_of((1,)), robots=2))
     assert line.startswith("blue still moves")
-    (alone,) = moving_robots(SeenRig(poses_of((0,)), robots=1))
+    (alone,) = describe_moving_robots(SeenRig(poses_of((0,)), robots=1))
     assert alone.startswith("green still moves")
 
 
@@ -384,5 +386,5 @@ def test_what_is_said_of_robots_that_do_not_stand_names_each_of_them():
     assert many.reason == "still moves: green, red: switch them off"
     assert many.unrest == f"{many.reason}; not seen to stand still: blue: look at it"
     assert Standstill(unseen=("a", "b")).unrest.endswith("a, b: look at them")
-    assert Standstill(latched=True).reason == Standstill(latched=True).unrest == LATCHED
-    assert LATCHED not in Standstill(latched=True, moving=("green",)).reason
+    assert Standstill(latched=True).reason == Standstill(latched=True).unrest == LATCHED_WARNING
+    assert LATCHED_WARNING not in Standstill(latched=True, moving=("green",)).reason

@@ -39,13 +39,13 @@ DT = SECOND // 2
 def test_a_pose_beyond_twice_the_speed_and_one_allowance_is_a_jump(pose, jumps):
     robot = RobotTrack("one", RULES, 0)
     robot.accept(Pose(0.0, 0.0, 0.0), 0)
-    refusal = robot.refusal(pose, DT, driving=True)
+    refusal = robot.find_refusal(pose, DT, is_driving=True)
     if jumps:
         assert (refusal.robot, refusal.text) == (0, "its pose jumped")
         assert refusal.excess.value > refusal.excess.limit
     else:
         assert refusal is None
-    assert robot.refusal(pose, DT, driving=False) is None, "robots may be carried"
+    assert robot.find_refusal(pose, DT, is_driving=False) is None, "robots may be carried"
 
 
 def test_the_allowance_is_given_once_in_a_second():
@@ -54,10 +54,10 @@ def test_the_allowance_is_given_once_in_a_second():
     robot.accept(Pose(0.0, 0.0, 0.0), 0)
     for k in range(1, 41):
         now_ns = k * SECOND // 50
-        pose = Pose(robot.last.x + 30.0, 0.0, 0.0)
-        if robot.refusal(pose, now_ns, driving=True) is None:
+        pose = Pose(robot.last_pose.x + 30.0, 0.0, 0.0)
+        if robot.find_refusal(pose, now_ns, is_driving=True) is None:
             robot.accept(pose, now_ns)
-    assert robot.last.x <= 200.0 * 0.8 + 30.0
+    assert robot.last_pose.x <= 200.0 * 0.8 + 30.0
 
 
 def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
@@ -72,12 +72,12 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
         now_ns = k * SECOND // 120
         x_mm += 10.0 if now_ns > since_ns else 0.0
         pose = Pose(x_mm, 0.0, 0.0)
-        if robot.refusal(pose, now_ns, driving=True) is not None:
+        if robot.find_refusal(pose, now_ns, is_driving=True) is not None:
             break
         robot.accept(pose, now_ns)
     spacing_s = 0.02
     creeps_s = (robot.last_ns - since_ns) / SECOND
-    assert robot.last.x <= 200.0 * (creeps_s + spacing_s) + 30.0
+    assert robot.last_pose.x <= 200.0 * (creeps_s + spacing_s) + 30.0
 
 
 def started(heights_mm, rules=RULES):
@@ -105,22 +105,22 @@ def started(heights_mm, rules=RULES):
 def test_a_robot_stays_as_high_as_when_its_run_began(height_mm, said):
     robot = started([60.0])
     pose = Pose(0.0, 0.0, 0.0, height=height_mm)
-    refusal = robot.refusal(pose, SECOND, driving=True)
+    refusal = robot.find_refusal(pose, SECOND, is_driving=True)
     assert (refusal.text if refusal else "") == said
-    assert robot.refusal(pose, SECOND, driving=False) is None, "robots may be carried"
+    assert robot.find_refusal(pose, SECOND, is_driving=False) is None, "robots may be carried"
 
 
 def test_a_robot_lifted_in_a_pause_is_noticed_in_the_next_run():
     robot = started([60.0])
     lifted = Pose(0.0, 0.0, 0.0, height=120.0)
-    assert "lifted" in robot.refusal(lifted, SECOND, driving=True).text
+    assert "lifted" in robot.find_refusal(lifted, SECOND, is_driving=True).text
     robot.start_run()
-    assert "lifted" in robot.refusal(lifted, 2 * SECOND, driving=True).text
+    assert "lifted" in robot.find_refusal(lifted, 2 * SECOND, is_driving=True).text
 
 
 def test_one_wrong_height_is_not_that_of_the_start():
     robot = started([60.0, 60.0, 130.0])
-    assert robot.refusal(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) is None
+    assert robot.find_refusal(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, is_driving=True) is None
 
 
 def test_a_floor_out_of_level_is_followed_from_run_to_run():
@@ -129,7 +129,7 @@ def test_a_floor_out_of_level_is_followed_from_run_to_run():
     for k in range(1, 5):
         now_ns = k * 20 * SECOND
         pose = Pose(2000.0 * k, 0.0, 0.0, height=60.0 + 35.0 * k)
-        assert robot.refusal(pose, now_ns, driving=True) is None
+        assert robot.find_refusal(pose, now_ns, is_driving=True) is None
         robot.accept(pose, now_ns)
         robot.start_run()
 
@@ -137,9 +137,10 @@ def test_a_floor_out_of_level_is_followed_from_run_to_run():
 def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
     metres = replace(RULES, speeds=(0.1,), mm=1000.0)
     robot = started([0.06], metres)
-    assert robot.refusal(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) is None
+    assert robot.find_refusal(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, is_driving=True) is None
     assert (
-        "60 mm higher" in robot.refusal(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True).text
+        "60 mm higher"
+        in robot.find_refusal(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, is_driving=True).text
     )
 
 
@@ -151,7 +152,7 @@ AT_START = Pose(0.0, 0.0, 0.0)
 
 
 def test_a_pose_is_new_unless_it_has_its_own_time_which_is_not_later():
-    robot = track(last=AT_START, last_ns=10)
+    robot = track(last_pose=AT_START, last_ns=10)
     for read_ns, own_times, is_new in [
         (20, True, True),
         (20, True, False),
@@ -160,7 +161,7 @@ def test_a_pose_is_new_unless_it_has_its_own_time_which_is_not_later():
         (9, True, False),
         (11, True, True),
     ]:
-        robot.read(100, read_ns, own_times)
+        robot.record_times(100, read_ns, own_times)
         assert robot.is_new is is_new
         assert (robot.newest_ns, robot.read_ns) == (100, read_ns)
 
@@ -168,11 +169,11 @@ def test_a_pose_is_new_unless_it_has_its_own_time_which_is_not_later():
 def test_a_robot_must_stop_once_it_was_unseen_for_longer_than_the_limit():
     limit_ns = round(UNTRACKED_STOP_S * SECOND)
     for untracked_ns, hidden in [(limit_ns, False), (limit_ns + 1, True)]:
-        robot = track(last=AT_START, last_ns=SECOND, newest_ns=SECOND + untracked_ns)
+        robot = track(last_pose=AT_START, last_ns=SECOND, newest_ns=SECOND + untracked_ns)
         assert (robot.hidden, robot.tracked) == (hidden, not hidden)
         assert robot.untracked_ns == untracked_ns
     assert not track().tracked, "before its first pose"
-    lost = track(last=AT_START, lost_ns=0)
+    lost = track(last_pose=AT_START, lost_ns=0)
     assert lost.lost and not lost.tracked
     assert not track().lost
 
@@ -204,7 +205,7 @@ def test_poses_are_remembered_for_a_second_and_a_fiftieth_apart():
     for k in range(400):
         robot.accept(AT_START, k * SECOND // 200)
     times_ns = [earlier.exposed_ns for earlier in robot._remembered]
-    assert (robot.last, robot.last_ns) == (AT_START, 399 * SECOND // 200)
+    assert (robot.last_pose, robot.last_ns) == (AT_START, 399 * SECOND // 200)
     gaps_ns = [after - before for before, after in pairwise(times_ns)]
     assert set(gaps_ns) == {JUMP_SPACING_NS}
     assert robot.last_ns - times_ns[0] <= REMEMBERED_NS < robot.last_ns - times_ns[0] + gaps_ns[0]
@@ -216,11 +217,11 @@ def test_a_run_starts_from_the_last_pose_because_robots_are_carried_before_it():
     robot.accept(Pose(900.0, 0.0, 0.0), SECOND // 10)
     robot.decision = PoseDecision(refused="its pose jumped")
     near = Pose(905.0, 0.0, 0.0)
-    assert robot.refusal(near, SECOND // 5, driving=True) is not None
+    assert robot.find_refusal(near, SECOND // 5, is_driving=True) is not None
     robot.start_run()
-    assert robot.refusal(near, SECOND // 5, driving=True) is None
+    assert robot.find_refusal(near, SECOND // 5, is_driving=True) is None
     assert robot.decision.refused == ""
-    assert robot.refusal(Pose(0.0, 0.0, 0.0), SECOND // 5, driving=True) is not None
+    assert robot.find_refusal(Pose(0.0, 0.0, 0.0), SECOND // 5, is_driving=True) is not None
 
 
 @pytest.mark.parametrize(
@@ -243,13 +244,13 @@ def test_a_body_is_upright_on_the_floor_whether_robots_drive_or_not(
 ):
     robot = RobotTrack("one", replace(RULES, mm=mm), 0)
     pose = Pose(0.0, 0.0, 0.0, None if height is None else height / mm, tilt)
-    refusal = robot.refusal(pose, 0, driving)
+    refusal = robot.find_refusal(pose, 0, driving)
     assert (refused in refusal.text) if refused else refusal is None
 
 
 def test_a_robot_whose_pose_is_a_ghosts_is_refused_whatever_it_shows():
     robot = track(ghost="its pose moves by itself")
-    assert robot.refusal(AT_START, 0, driving=False).text == "its pose moves by itself"
+    assert robot.find_refusal(AT_START, 0, is_driving=False).text == "its pose moves by itself"
 
 
 @pytest.mark.parametrize(
@@ -260,7 +261,9 @@ def test_a_body_that_is_lifted_in_a_run_is_refused_while_robots_drive(changed_mm
     robot.accept(Pose(0.0, 0.0, 0.0, 50.0), 0)
     robot.start_run()
     pose = Pose(0.0, 0.0, 0.0, 50.0 + changed_mm)
-    refusal = robot.refusal(pose, 1, driving=True)
+    refusal = robot.find_refusal(pose, 1, is_driving=True)
     assert (refused in refusal.text) if refused else refusal is None
-    assert robot.refusal(pose, 1, driving=False) is None
-    assert robot.refusal(AT_START, 1, driving=True) is None, "without a height nothing is compared"
+    assert robot.find_refusal(pose, 1, is_driving=False) is None
+    assert robot.find_refusal(AT_START, 1, is_driving=True) is None, (
+        "without a height nothing is compared"
+    )

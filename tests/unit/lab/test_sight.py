@@ -16,7 +16,7 @@ from tetractl.core.trial import Note
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.guard import Guard, GuardState
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import REPEATS, SLACK_S
+from tetractl.lab.motion_check import POSE_REPEATS, SLACK_S
 from tetractl.spec.lab_section import LabLimits
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant
@@ -171,7 +171,7 @@ def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
     frozen_ns = mat.now_ns
     while not mat.guard.refused[0]:
         mat.go(0.01)
-    assert mat.guard.refused[0] == REPEATS
+    assert mat.guard.refused[0] == POSE_REPEATS
     diagonal_mm = math.sqrt(2) * MAT.grid_mm
     way_mm = diagonal_mm + SLACK_S * RULES.speeds[0]
     step_ms = 1000 * way_mm / (60.0 * (1 - LabLimits().wheel_error))

@@ -8,7 +8,7 @@ from testkit.trials import THREE_M3PI, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop, Turn
-from tetractl.lab.guard_observer import Act
+from tetractl.lab.guard_observer import Action
 from tetractl.log.read.reader import read_trial
 from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.lab_section import LabLimits
@@ -84,12 +84,12 @@ def test_the_guard_decides_in_each_hundredth_of_a_second_without_any_frame(log):
     tick_s = TICK_NS / SECOND
     for stale_s in (0.05, 0.13):
         acts = acts_of(silent, stale=stale_s)
-        stops = [act for act in acts if act[1] is Act.STOPS]
+        stops = [act for act in acts if act[1] is Action.STOPS]
         assert {robot for *_, robot in stops} == {"green", "blue", "red"}
         for stopped_s, _, check, _ in stops:
             assert check == "frame"
             assert 0 <= stopped_s - last_ns / SECOND - stale_s <= tick_s + 1e-6
-    (end,) = [act for act in acts if act[1] is Act.ENDS][:1]
+    (end,) = [act for act in acts if act[1] is Action.ENDS][:1]
     assert 0 <= end[0] - last_ns / SECOND - 0.5 <= tick_s + 1e-6
 
 
@@ -97,7 +97,7 @@ def test_a_robot_that_is_not_valid_in_the_log_is_hidden_from_the_guard(log):
     valid = log.valid.copy()
     valid[50:75, 1] = False
     ((stopped_s, *act),) = acts_of(replace(log, valid=valid))
-    assert act == [Act.STOPS, "tracking", "blue"]
+    assert act == [Action.STOPS, "tracking", "blue"]
     assert log.received_ns[50] / SECOND < stopped_s < log.received_ns[74] / SECOND
 
 
@@ -106,7 +106,7 @@ def test_control_steps_in_a_row_that_were_late_end_the_run_at_the_last_of_them(l
     slow = replace(log, steps=tuple(late))
     assert acts_of(slow, late_steps=4) == []
     ((ended_s, act, check, robot),) = acts_of(slow, late_steps=3)
-    assert (act, check, robot) == (Act.ENDS, "late steps", "")
+    assert (act, check, robot) == (Action.ENDS, "late steps", "")
     assert ended_s == log.steps[4].command.sent_ns / SECOND
 
 

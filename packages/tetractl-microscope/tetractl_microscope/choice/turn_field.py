@@ -80,8 +80,8 @@ def turn_field(
         failure = rig.actuator.failure
         if failure is not None:
             raise AbortError(failure)
-        if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
-            raise AbortError(rig.loop.guard.why_no_frame(rig.silent_ns()))
+        if rig.measure_silence_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
+            raise AbortError(rig.loop.guard.explain_missing_frames(rig.measure_silence_ns()))
     now = tracker.candidates()
     cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
     # a cell is recognised if it moves by at most 35 um between two pictures

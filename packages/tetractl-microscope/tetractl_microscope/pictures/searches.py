@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.camera_stream import SLOW_HZ, rate_hz
+from tetractl.lab.camera_stream import RATE_MIN_HZ, compute_rate_hz
 
 KEPT_SEARCHES = 20  # number of last pictures whose results are kept
 
@@ -47,7 +47,7 @@ def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
     The result is None if it is unknown.
     """
     received_ns = [search.received_ns for search in searches]
-    return rate_hz([search.number for search in searches], received_ns)
+    return compute_rate_hz([search.number for search in searches], received_ns)
 
 
 def stream_lines(
@@ -83,9 +83,9 @@ def stream_lines(
             f"only {rate:.0f} images per second come instead of {declared_hz:.0f}: is there too "
             "little light for short exposures, or is the cable too slow?"
         )
-    elif rate is not None and rate < SLOW_HZ:
+    elif rate is not None and rate < RATE_MIN_HZ:
         warnings.append(
-            f"only {rate:.0f} images per second come, but at least {SLOW_HZ:.0f} are needed"
+            f"only {rate:.0f} images per second come, but at least {RATE_MIN_HZ:.0f} are needed"
         )
     came = searches[-1].number - searches[0].number + 1 if searches else 0
     if came > len(searches):

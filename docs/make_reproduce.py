@@ -16,7 +16,7 @@ from tetractl_papers.trials import run_arms
 
 from tetractl import run_batch
 from tetractl.spec.examples import examples
-from tetractl.tools.table.terminal_table import markdown
+from tetractl.tools.table.terminal_table import format_markdown
 
 PAGE = Path(__file__).parents[1] / "packages/tetractl-papers/README.md"
 BEGIN = "<!-- figures: begin -->\n"
@@ -32,7 +32,7 @@ def tables(folder: Path) -> str:
         results = run_arms(paper, folder / name, examples(), None, complete, print)
         rows = [assess(claim, results) for claim in paper.claims]
         printed.append(table(name, paper.source, rows))
-    return markdown(printed).strip()
+    return format_markdown(printed).strip()
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from testkit.trials import three_robots
 
 import tetractl as package
 from tetractl import load_spec
-from tetractl.cli.play import _best, _error, _harder
+from tetractl.cli.play import _describe_error, _find_best, _suggest_disturbances
 from tetractl.spec.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
@@ -180,16 +180,18 @@ def test_the_best_try_is_one_that_is_not_lost():
     lost = replace(result, total_error=1.0, verdict=outside)
     kept = replace(result, total_error=9.0)
     assert lost.left_arena
-    assert _best([lost, kept]) is kept
-    assert _best([lost]) is lost
+    assert _find_best([lost, kept]) is kept
+    assert _find_best([lost]) is lost
 
 
 def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
     """Regression: an undisturbed controller was 0.000519 mm off."""
     log = three_robots()
     result = replace(log.result, total_error=0.000519)
-    assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
-    assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")
+    assert _describe_error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
+    assert _describe_error(replace(result, total_error=6.9), log.experiment).startswith(
+        "6.90 mm in"
+    )
 
 
 CELL = {"JPY_PARENT_PID": "1", "TERM": "xterm-color", "FORCE_COLOR": "1", "CLICOLOR_FORCE": "1"}
@@ -218,8 +220,8 @@ def test_only_a_spec_without_disturbances_is_said_to_have_none(folder, monkeypat
     monkeypatch.chdir(folder)
     disturbed = load_spec("spec.yaml")
     exact = load_spec("spec.yaml", "plant={type: sim}")
-    assert _harder(disturbed.experiment) == []
-    first, *commands = _harder(exact.experiment)
+    assert _suggest_disturbances(disturbed.experiment) == []
+    first, *commands = _suggest_disturbances(exact.experiment)
     assert "no disturbances" in first
     assert "controller" not in first
     assert commands == [
@@ -227,4 +229,4 @@ def test_only_a_spec_without_disturbances_is_said_to_have_none(folder, monkeypat
         "  tetractl play experiments/three_m3pi_bench.yaml",
     ]
     assert tetractl(folder, "init", "--example", "three_m3pi_bench").ok()
-    assert _harder(exact.experiment)[1:] == commands[1:]
+    assert _suggest_disturbances(exact.experiment)[1:] == commands[1:]

@@ -17,13 +17,13 @@ def main() -> None:
     import atexit
     import sys
 
-    from tetractl.cli.unread import close_stdout, open_streams, say_at_once
+    from tetractl.cli.unread import close_stdout, open_streams, write_at_once
     from tetractl.core.errors import Exit
     from tetractl.run.interrupt import ignore_signals, leave_on_signals
 
     atexit.register(ignore_signals)
     open_streams()
-    leave_on_signals(Exit.INTERRUPTED, lambda: say_at_once(b"error: interrupted\n"))
+    leave_on_signals(Exit.INTERRUPTED, lambda: write_at_once(b"error: interrupted\n"))
     allowed = _address_limit()
     if allowed < ADDRESSES_NEEDED:
         print(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 from tetractl.cli import options
 from tetractl.cli.options import argument, option
 from tetractl.cli.stats import show
-from tetractl.cli.trials import RunOptions, in_lines, load_to_run, stoppable
+from tetractl.cli.trials import RunOptions, load_to_run, prepare_in_lines, stop_on_signals
 from tetractl.core.errors import Exit
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 from tetractl.tools.table.terminal_table import open_console, print_tables
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def analyze(
     table = facts_table(experiment)
     if table and not as_json:
         print_tables([table])
-    with TemporaryDirectory() as temporary, stoppable(loaded, RunOptions()) as interrupt:
+    with TemporaryDirectory() as temporary, stop_on_signals(loaded, RunOptions()) as interrupt:
         folder = Path(temporary) / "trials"
         report = _simulate(loaded, folder, jobs, interrupt)
         for error in report.errors.values():
@@ -63,7 +63,7 @@ def analyze(
             raise KeyboardInterrupt
         statistics = describe(open_batch([folder]), experiment.name)
         if as_json:
-            print(json_text(facts_items(experiment) | batch_items(statistics)))
+            print(format_json(facts_items(experiment) | batch_items(statistics)))
         else:
             show(contrast([statistics]), "table")
     return Exit.DONE
@@ -80,6 +80,6 @@ def _simulate(loaded: "LoadedSpec", folder: Path, jobs: int, interrupt: "Interru
     tasks = batch_tasks(loaded, store.lacking)
     console = open_console(stderr=True)
     console.quiet = not console.is_terminal
-    lines = in_lines(console, experiment.units.length, len(tasks), jobs, interrupt, ())
+    lines = prepare_in_lines(console, experiment.units.length, len(tasks), jobs, interrupt, ())
     with store.opened(False), lines as (executor, observer):
         return run_batch(tasks, store, executor, observer, OnFailure.of_batch(experiment.plant))

@@ -7,7 +7,7 @@ from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.log.read.find import find_logs
-from tetractl.tools.table.table_files import table_files
+from tetractl.tools.table.table_files import open_table_files
 
 
 def export(
@@ -38,7 +38,7 @@ def export(
     log_paths = find_logs(logs)
     unread: list[Path] = []
     damaged: list[Path] = []
-    with table_files(table_paths) as add_rows, ui.progress("Reading logs") as on_log:
+    with open_table_files(table_paths) as add_rows, ui.progress("Reading logs") as on_log:
         for number, path in enumerate(log_paths):
             on_log(number, len(log_paths))
             try:

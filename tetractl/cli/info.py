@@ -10,7 +10,7 @@ from tetractl.cli.options import AsJson, argument
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, printable
 from tetractl.log.read.find import find_log
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 
 LINE_MOST = 240
 """Characters of a line of `info`."""
@@ -37,7 +37,7 @@ def info(
     log = find_log(log)
     contents = overview(log)
     if as_json:
-        print(json_text(contents))
+        print(format_json(contents))
     else:
         for line in _lines(contents):
             print(printable(line, LINE_MOST).rstrip())  # --json prints whole lines

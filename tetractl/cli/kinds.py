@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, option
-from tetractl.cli.specs import template
+from tetractl.cli.specs import build_template
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import KIND_CHECKS, all_registries
 from tetractl.core.registry import PluginError
 from tetractl.spec.packages import BRINGS, missing, not_installed
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 
 if TYPE_CHECKING:
     from tetractl.core.registry import Kind, Registry
@@ -91,7 +91,7 @@ def _list(as_json: bool) -> int:
     listed = [_loaded(registry, kind) for registry in registries for kind in registry.kinds()]
     broken = [row.broken for row in listed if row.broken]
     if as_json:
-        print(json_text({"kinds": [_items(row) for row in listed]}))
+        print(format_json({"kinds": [_items(row) for row in listed]}))
     else:
         for row in listed:
             print(_line(row))
@@ -181,7 +181,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     findings = check_kind(code, fields, experiment.setup)
     wrong = [finding for finding in findings if finding.problem]
     if as_json:
-        print(json_text({"code": code, "ok": not wrong, "findings": findings}))
+        print(format_json({"code": code, "ok": not wrong, "findings": findings}))
     else:
         for finding in findings:
             if finding.problem:
@@ -213,7 +213,7 @@ def _experiment(spec: Path | None) -> "Experiment":
 
     if spec is not None:
         return ui.load(spec, None).experiment
-    return parse_spec(template("check", "check"), "check").experiment
+    return parse_spec(build_template("check", "check"), "check").experiment
 
 
 def _fields_of_lab(experiment: "Experiment", code: str) -> dict[str, Any]:

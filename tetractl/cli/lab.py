@@ -12,7 +12,7 @@ import typer
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option, out_option, switch
-from tetractl.cli.unread import hung_up_unread
+from tetractl.cli.unread import hang_up_without_reader
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
 from tetractl.lab.port_holder import stop_beside
@@ -58,7 +58,7 @@ def check(
 
     loaded = _loaded_on(spec, sets, plant)
     experiment = loaded.experiment
-    rig = ui.rig_of(experiment)
+    rig = ui.build_rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
 
@@ -208,7 +208,7 @@ def calibrate(
     for name in names:
         if name not in experiment.setup.names:
             raise UsageError(f"--robot {name}: the spec has no robot with this name")
-    ui.rig_section(experiment).require_calibratable()
+    ui.find_rig_section(experiment).require_calibratable()
     if experiment.plant.real_time:
         ui.require_consent(yes, f"{', '.join(names)} will move by up to 0.3 m each.")
     return save_calibration(out, _calibrated(experiment, names, limit))
@@ -223,7 +223,7 @@ def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "
 
     from tetractl.core.protocols import LabSupervision
 
-    lab = ui.rig_section(experiment)
+    lab = ui.find_rig_section(experiment)
     supervision = LabSupervision()
 
     def rig_within(limits: "LabLimits", setup: "Setup") -> "Rig":
@@ -244,7 +244,7 @@ def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Ite
     such key.
     """
     stop_key = StopKey(supervision.emergency.set, lambda: None)
-    with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
+    with hang_up_without_reader(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             ui.tell(STOP_HINT)
         elif real_robots:

@@ -9,7 +9,7 @@ from tetractl.cli.options import AsJson, Logs, Sets, option
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import Exit, UsageError
 from tetractl.log.read.find import find_logs
-from tetractl.tools.table.table import Column, Table, plural
+from tetractl.tools.table.table import Column, Table, pluralize
 
 if TYPE_CHECKING:
     from tetractl.lab.guard_observer import Intervention
@@ -167,5 +167,5 @@ def _totals(counts: list[dict[str, Any]], logs: int) -> Table:
     )
     idle = [row["check"] for row in counts if not row["hours"]]
     note = f"not checked, because no log has wheel speeds: {', '.join(idle)}" if idle else ""
-    title = f"What the guard would have done in {logs} {plural('log', logs)}"
+    title = f"What the guard would have done in {logs} {pluralize('log', logs)}"
     return Table(title, columns, note)

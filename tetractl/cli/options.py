@@ -12,51 +12,53 @@ import typer
 from tetractl.core.registries import PLANTS
 
 
-def argument(metavar: str, text: str) -> Any:
+def argument(metavar: str, description: str) -> Any:
     """Declare an argument of a command for typer, which the help shows as `metavar`."""
-    return typer.Argument(metavar=metavar, help=_plain(text))
+    return typer.Argument(metavar=metavar, help=_escape_markup(description))
 
 
 def option(
-    metavar: str, text: str, *names: str, min: float | None = None, max: float | None = None
+    metavar: str, description: str, *names: str, min: float | None = None, max: float | None = None
 ) -> Any:
     """Declare an option of a command for typer.
 
     Args:
         metavar: How its value is shown in the help.
-        text: Its help.
+        description: Its help.
         *names: Its names. Not needed if it is named after its parameter.
         min: Minimum value. None for no limit.
         max: Maximum value. None for no limit.
     """
-    return typer.Option(*names, metavar=metavar, help=_plain(text), min=min, max=max)
+    return typer.Option(*names, metavar=metavar, help=_escape_markup(description), min=min, max=max)
 
 
-def switch(text: str, *names: str) -> Any:
+def switch(description: str, *names: str) -> Any:
     """Declare an option without a value for typer.
 
     Without `names`, it is named after its parameter, and has a second form with --no-.
     """
-    return typer.Option(*names, help=_plain(text))
+    return typer.Option(*names, help=_escape_markup(description))
 
 
-def out_option(metavar: str, text: str) -> Any:
+def out_option(metavar: str, description: str) -> Any:
     """Declare the option -o, for the file or folder to write."""
-    return option(metavar, text, "-o", "--out")
+    return option(metavar, description, "-o", "--out")
 
 
-def tcp_port(text: str) -> Any:
+def tcp_port(description: str) -> Any:
     """Declare an option for the number of a TCP or UDP port."""
-    return option("N", text, min=0, max=65535)
+    return option("N", description, min=0, max=65535)
 
 
-def plant_option(text: str) -> Any:
+def plant_option(description: str) -> Any:
     """Declare the option --plant, whose values a shell completes."""
-    return typer.Option(metavar="sim|lab|emulated", help=_plain(text), autocompletion=PLANTS.names)
+    return typer.Option(
+        metavar="sim|lab|emulated", help=_escape_markup(description), autocompletion=PLANTS.names
+    )
 
 
-def _plain(text: str) -> str:
-    return text.replace("[", "\\[")  # which rich would read as markup
+def _escape_markup(description: str) -> str:
+    return description.replace("[", "\\[")  # which rich would read as markup
 
 
 Log = Annotated[Path, argument("LOG", "The log of the trial.")]

@@ -16,10 +16,10 @@ from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import options, ui
-from tetractl.cli.trials import RunOptions, load_to_run, new_log_folder, stoppable
+from tetractl.cli.trials import RunOptions, load_to_run, new_log_folder, stop_on_signals
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
-from tetractl.tools.table.table import lengths
+from tetractl.tools.table.table import create_length_format
 from tetractl.tools.table.terminal_table import open_console
 from tetractl.tools.terminal import has_keys
 
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 
 TRIAL = 0
 """The trial that is steered, and that the controller runs."""
-THEIRS = (
+CONTROLLER_NOTE = (
     "The controller also sends one direction to all robots. It simulates many sequences of "
     "directions, and sends the first direction of the best sequence. It stops when no "
     "sequence brings the robots nearer to their targets."
 )
 """Text shown when the controller's trial has ended, and its last image stays."""
-DISTURBED = "three_m3pi_bench"
+DISTURBED_EXAMPLE = "three_m3pi_bench"
 """A shipped spec whose robots and camera are disturbed."""
 
 
@@ -139,16 +139,16 @@ def play(
     ui.refuse_filled(folder)
 
     with (
-        stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt,
+        stop_on_signals(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt,
         locked(folder),
     ):
         game = Game(loaded, directed, folder, interrupt)
         if in_lab:
-            _in_lab(game, console, ask_to_place=not yes)
+            _play_in_lab(game, console, ask_to_place=not yes)
         else:
             warm_up(experiment, partial(ui.announce_compiling, False))
             if timed_keys is None:
-                _on_terminal(game, console, speed or 1.0)
+                _play_on_terminal(game, console, speed or 1.0)
             else:
                 game.steer(timed_keys.ask)
                 if not game.over:
@@ -260,7 +260,7 @@ class Game:
 
     def _note_end(self, result: "Result", lost: bool) -> None:
         """Note how a trial ended. If it was aborted and the game is `lost`, the end is an error."""
-        if lost and _was_stopped(result):
+        if lost and _is_aborted(result):
             self.over = True
             self.error = result.reason
         if self.interrupt.requested:
@@ -270,7 +270,7 @@ class Game:
 # ---- at a terminal ----
 
 
-def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
+def _play_in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     """Let a person steer the robots of a lab once, by keys of the terminal."""
     from tetractl.view.terminal.hand_keys import LAB_HINTS, HandKeys, task
     from tetractl.view.terminal.keys import StopKey
@@ -296,21 +296,21 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
             game.steer(keys.ask, [watch], game.supervision(emergency, prompt))
 
 
-def _on_terminal(game: Game, console: "Console", speed: float) -> None:
+def _play_on_terminal(game: Game, console: "Console", speed: float) -> None:
     """Let a person steer simulated robots by keys, repeatedly, and the controller once."""
     from tetractl.view.terminal.hand_keys import AGAIN, GO_ON
 
-    answer = _you_steer(game, console, speed)
+    pressed_key = _run_own_trial(game, console, speed)
     while not game.over:
-        if answer == AGAIN:
-            answer = _you_steer(game, console, speed)
-        elif answer == GO_ON and game.theirs is None:
-            answer = _controller_steers(game, console, speed)
+        if pressed_key == AGAIN:
+            pressed_key = _run_own_trial(game, console, speed)
+        elif pressed_key == GO_ON and game.theirs is None:
+            pressed_key = _run_controller_trial(game, console, speed)
         else:
             return
 
 
-def _you_steer(game: Game, console: "Console", speed: float) -> str:
+def _run_own_trial(game: Game, console: "Console", speed: float) -> str:
     """Run and show a trial that the person steers. Return the key that was pressed at its end."""
     from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, PAUSED, WHY, HandKeys, task
     from tetractl.view.terminal.live_screen import LiveView
@@ -320,55 +320,59 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     emergency = threading.Event()
     keys = HandKeys(lambda: interrupt.requested or emergency.is_set(), can_pause=simulated)
     hints = HINTS if simulated else LAB_HINTS
-    aside = task(game.experiment.setup, game.experiment.plant.disturbed or not simulated)
-    view = LiveView(console, hints=hints, aside=aside, plain=True)
+    side_text = task(game.experiment.setup, game.experiment.plant.disturbed or not simulated)
+    view = LiveView(console, hints=hints, aside=side_text, plain=True)
     stop = keys.stop if simulated else emergency.set
 
     def pause(plan_of: "Callable[[float], Plan]") -> None:
         if keys.pauses:
             view.say(PAUSED, "arrows: try", "P: go on")
             keys.await_end_of_pause(lambda direction: view.preview(plan_of(direction), direction))
-            view.say(aside, *hints)
+            view.say(side_text, *hints)
 
     def say_at_end(result: "Result") -> None:
-        you = f"You: {_how_well(result, game.experiment)}"
-        if _was_stopped(result):
-            you = f"{you}. This try is lost"
+        own_result = f"You: {_describe_result(result, game.experiment)}"
+        if _is_aborted(result):
+            own_result = f"{own_result}. This try is lost"
         if game.theirs is None:
-            view.say(f"{you}. {WHY}", "ENTER: the controller", "R: again")
+            view.say(f"{own_result}. {WHY}", "ENTER: the controller", "R: again")
         else:
-            view.say(f"{you}. Before: {_line(game)}.", "R: again", "ENTER: end")
+            view.say(f"{own_result}. Before: {_summarise_game(game)}.", "R: again", "ENTER: end")
 
-    with _keyed_screen(keys, view, stop):
-        observers = _paced(view, keys, speed, say_at_end)
+    with _open_screen_with_keys(keys, view, stop):
+        observers = _build_observers(view, keys, speed, say_at_end)
         game.steer(keys.ask, observers, game.supervision(emergency), pause)
         return "" if game.over else keys.await_answer()
 
 
-def _controller_steers(game: Game, console: "Console", speed: float) -> str:
+def _run_controller_trial(game: Game, console: "Console", speed: float) -> str:
     """Run and show the controller's trial. Return the key that was pressed at its end."""
     from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.live_screen import LiveView
 
-    you = f"Your best: {_how_well(_best(game.yours), game.experiment)}."
+    own_result = f"Your best: {_describe_result(_find_best(game.yours), game.experiment)}."
     keys = HandKeys(has_ended=lambda: game.interrupt.requested)
-    aside = (
-        f"{you} Now the controller steers from the same start. The dots show its plan, which "
-        "it makes again at each step."
+    side_text = (
+        f"{own_result} Now the controller steers from the same start. The dots show its plan, "
+        "which it makes again at each step."
     )
-    view = LiveView(console, aside=aside, plain=True)
+    view = LiveView(console, aside=side_text, plain=True)
 
     def say_at_end(result: "Result") -> None:
-        did = f"The controller: {_how_well(result, game.experiment)}."
-        view.say(f"{you} {did} {THEIRS}", "R: steer again", "ENTER: end")
+        controller_result = f"The controller: {_describe_result(result, game.experiment)}."
+        view.say(
+            f"{own_result} {controller_result} {CONTROLLER_NOTE}", "R: steer again", "ENTER: end"
+        )
 
-    with _keyed_screen(keys, view, keys.stop):
-        game.control(_paced(view, keys, speed, say_at_end))
+    with _open_screen_with_keys(keys, view, keys.stop):
+        game.control(_build_observers(view, keys, speed, say_at_end))
         return "" if game.over else keys.await_answer()
 
 
 @contextmanager
-def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) -> "Iterator[None]":
+def _open_screen_with_keys(
+    keys: "HandKeys", view: "LiveView", stop: Callable[[], None]
+) -> "Iterator[None]":
     """Show a view on the terminal during the `with` block, and read keys for the person who steers.
 
     Esc and a closed terminal call `stop`.
@@ -379,7 +383,7 @@ def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) 
         yield
 
 
-def _paced(
+def _build_observers(
     view: "LiveView", keys: "HandKeys", speed: float, say_at_end: "Callable[[Result], None]"
 ) -> "Sequence[Observer]":
     """Return observers that show a trial at `speed` times the wall clock, and report its end."""
@@ -398,9 +402,9 @@ def _paced(
 def _conclude(game: Game) -> int:
     """Print how the trials of the game ended, and return the exit code."""
     if game.yours:
-        print(_line(game), flush=True)
+        print(_summarise_game(game), flush=True)
         if game.theirs is not None:
-            ui.tell(*_harder(game.experiment))
+            ui.tell(*_suggest_disturbances(game.experiment))
         folders = " ".join(quote(str(path)) for path in game.folders)
         ui.tell(
             f"the logs are in {game.folder}; look at them with:", f"  tetractl replay {folders}"
@@ -418,57 +422,60 @@ def _conclude(game: Game) -> int:
     return Exit.DONE
 
 
-def _harder(experiment: "Experiment") -> list[str]:
+def _suggest_disturbances(experiment: "Experiment") -> list[str]:
     """Return lines that suggest a spec with disturbances, if this one simulates none."""
     from tetractl.spec.examples import FOLDER
 
     if experiment.plant.disturbed or not experiment.plant.simulated:
         return []
-    path = Path(FOLDER, f"{DISTURBED}.yaml")
-    first = [] if path.exists() else [f"  tetractl init --example {DISTURBED}"]
+    path = Path(FOLDER, f"{DISTURBED_EXAMPLE}.yaml")
+    init_command = [] if path.exists() else [f"  tetractl init --example {DISTURBED_EXAMPLE}"]
     return [
         "this spec simulates no disturbances; this command writes a spec with disturbances:",
-        *first,
+        *init_command,
         f"  tetractl play {path}",
     ]
 
 
-def _line(game: Game) -> str:
+def _summarise_game(game: Game) -> str:
     """Describe in one line how well the person's and the controller's trials ended."""
-    first, *others = [_how_well(result, game.experiment) for result in game.yours]
-    parts = [f"you {first}", *(f"again {other}" for other in others)]
+    first_try, *later_tries = [_describe_result(result, game.experiment) for result in game.yours]
+    clauses = [f"you {first_try}", *(f"again {other}" for other in later_tries)]
     if game.theirs is not None:
-        parts.append(f"the controller {_how_well(game.theirs, game.experiment)}")
-    return ", ".join(parts)
+        clauses.append(f"the controller {_describe_result(game.theirs, game.experiment)}")
+    return ", ".join(clauses)
 
 
-def _was_stopped(result: "Result") -> bool:
+def _is_aborted(result: "Result") -> bool:
     """Check whether a trial was ended by a guard or a fault."""
     return result.outcome == "aborted"
 
 
-def _best(results: "Sequence[Result]") -> "Result":
+def _find_best(results: "Sequence[Result]") -> "Result":
     """Return the result with the smallest error. Results with lost robots come last."""
-    not_lost = [r for r in results if not (r.entered_obstacle or r.left_arena or _was_stopped(r))]
-    return min(not_lost or results, key=lambda result: result.total_error)
+    completed = [r for r in results if not (r.entered_obstacle or r.left_arena or _is_aborted(r))]
+    return min(completed or results, key=lambda result: result.total_error)
 
 
-def _how_well(result: "Result", experiment: "Experiment") -> str:
+def _describe_result(result: "Result", experiment: "Experiment") -> str:
     """Describe a trial's total error and time, and which robots were where they must not be.
 
     For an aborted trial, describe when and why the robots were stopped.
     """
-    if _was_stopped(result):
+    if _is_aborted(result):
         return f"stopped after {result.duration_s:.1f} s ({result.reason})"
-    where = [" through an obstacle"] if result.entered_obstacle else []
-    where += [" outside the arena"] if result.left_arena else []
-    return f"{_error(result, experiment)}{' and'.join(where)}"
+    violations = [" through an obstacle"] if result.entered_obstacle else []
+    violations += [" outside the arena"] if result.left_arena else []
+    return f"{_describe_error(result, experiment)}{' and'.join(violations)}"
 
 
-def _error(result: "Result", experiment: "Experiment") -> str:
+def _describe_error(result: "Result", experiment: "Experiment") -> str:
     """Describe the total error and the time of a trial."""
-    total = result.total_error
+    total_error = result.total_error
     # a hundredth of a millimetre in an arena of 1 m to 10 m: less is no distance of robots
-    least = 10.0 ** (math.floor(math.log10(experiment.setup.arena.width)) - 5)
-    error = f"< {least:g}" if total < least else lengths(total)(total)
-    return f"{error} {experiment.units.length} in {result.duration_s:.0f} s"
+    resolution = 10.0 ** (math.floor(math.log10(experiment.setup.arena.width)) - 5)
+    if total_error < resolution:
+        error_text = f"< {resolution:g}"
+    else:
+        error_text = create_length_format(total_error)(total_error)
+    return f"{error_text} {experiment.units.length} in {result.duration_s:.0f} s"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import options, ui
-from tetractl.cli.trials import RunOptions, run_command, wanted_port
+from tetractl.cli.trials import RunOptions, choose_port, run_command
 from tetractl.core.errors import Exit
 from tetractl.log.read.find import find_log
 
@@ -66,12 +66,12 @@ def rerun(
         dry_run=dry_run,
         quiet=quiet,
         yes=yes,
-        port=wanted_port(serve, port),
+        port=choose_port(serve, port),
         json=json,
         unattended=unattended,
     )
     number = trial.start.trial
-    code, folder = run_command(_on_plant(spec, plant), how, only=number)
+    code, folder = run_command(_on_plant(spec, plant), how, only_trial=number)
     if code != Exit.DONE or dry_run:
         return code
     raw_again = scan(log_path(folder, number))

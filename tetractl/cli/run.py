@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from tetractl.cli import options
-from tetractl.cli.trials import RunOptions, load_to_run, run_command, wanted_port
+from tetractl.cli.trials import RunOptions, choose_port, load_to_run, run_command
 from tetractl.core.errors import UsageError
 
 
@@ -89,7 +89,7 @@ def run(
         dry_run=dry_run,
         quiet=quiet,
         yes=yes,
-        port=wanted_port(serve, port),
+        port=choose_port(serve, port),
         json=json,
         unattended=unattended,
         rate=rate,

@@ -18,7 +18,7 @@ from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
 from tetractl.spec.packages import not_installed
 from tetractl.spec.yaml.problems import InvalidSpecError, did_you_mean
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 from tetractl.tools.table.terminal_table import open_console
 
 if TYPE_CHECKING:
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from tetractl.spec.experiment import Experiment
     from tetractl.spec.loaded_spec import LoadedSpec
 
-NAMED = ("base", "identified")
+FILE_FIELDS = ("base", "identified")
 """Fields of a spec that name another file, relative to the spec's folder."""
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
-def example_files(name: str) -> dict[str, str]:
+def read_example_files(name: str) -> dict[str, str]:
     """Return an example and the files it names, keyed by their path in the examples' folder.
 
     Raises UsageError if there is no such example, or its package is not installed.
@@ -43,36 +43,36 @@ def example_files(name: str) -> dict[str, str]:
     files = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
     if name not in files:
-        raise _no_example(name, list(files))
+        raise _create_example_error(name, list(files))
     example_at = {file.resolve(): example for example, file in files.items()}
-    texts: dict[str, str] = {}
-    to_read = [name]
-    while to_read:
-        example = to_read.pop()
-        if f"{example}.yaml" in texts:
+    text_by_path: dict[str, str] = {}
+    unread = [name]
+    while unread:
+        example = unread.pop()
+        if f"{example}.yaml" in text_by_path:
             continue
         file = files[example].resolve()
         text = read_text(file)
-        texts[f"{example}.yaml"] = text
+        text_by_path[f"{example}.yaml"] = text
         fields = parse_document(text, str(file)).data
-        named_files = [file.parent / fields[key] for key in NAMED if key in fields]
-        to_read += [example_at[named.resolve()] for named in named_files]
-    return texts
+        named_files = [file.parent / fields[key] for key in FILE_FIELDS if key in fields]
+        unread += [example_at[named.resolve()] for named in named_files]
+    return text_by_path
 
 
-def _no_example(name: str, examples: Sequence[str]) -> UsageError:
+def _create_example_error(name: str, examples: Sequence[str]) -> UsageError:
     """Return the error for an unknown example. It lists examples, or the package to install."""
 
     folders = sorted({f"{example.partition('/')[0]}/" for example in examples if "/" in example})
     group = name.partition("/")[0]
-    missing = not_installed(EXAMPLES.group, group)
-    if missing and f"{group}/" not in folders:
-        problem, hint = missing
+    install_advice = not_installed(EXAMPLES.group, group)
+    if install_advice and f"{group}/" not in folders:
+        problem, hint = install_advice
         return UsageError(f"the example '{name}' {problem}", hint)
-    single = [example for example in examples if "/" not in example]
+    ungrouped = [example for example in examples if "/" not in example]
     return UsageError(
         f"there is no example named '{name}'{did_you_mean(name, examples)}",
-        f"the available examples are {', '.join([*single, *folders])}",
+        f"the available examples are {', '.join([*ungrouped, *folders])}",
     )
 
 
@@ -115,36 +115,38 @@ def init(
                 "other options",
                 "give --example alone",
             )
-        return _example(example)
+        return _write_example(example)
     if (camera or robots) and not lab:
         raise UsageError("--camera and --robots describe a lab, which needs --lab", "add --lab")
     name = "experiment" if name is None else name
     path = Path(name if re.search(r"\.ya?ml$", name) else f"{name}.yaml")
-    if not NAME.fullmatch(path.stem):
+    if not NAME_PATTERN.fullmatch(path.stem):
         raise UsageError(
             f"'{printable(name, 80)}' cannot be the name of an experiment",
             "use up to 64 characters: a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
-    _write(path, template(path.stem, path.name, lab, camera, robots), "give another NAME")
+    _write_new_file(
+        path, build_template(path.stem, path.name, lab, camera, robots), "give another NAME"
+    )
     ui.tell(f"run it with: tetractl run {path}")
     return Exit.DONE
 
 
-def _example(name: str) -> int:
+def _write_example(name: str) -> int:
     from tetractl.spec.examples import FOLDER
 
-    files = example_files(name)
-    for inner in files:
-        (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)
-    for number, (inner, text) in enumerate(files.items()):
-        path = Path(FOLDER) / inner
+    files = read_example_files(name)
+    for relative_path in files:
+        (Path(FOLDER) / relative_path).parent.mkdir(parents=True, exist_ok=True)
+    for number, (relative_path, text) in enumerate(files.items()):
+        path = Path(FOLDER) / relative_path
         if number and path.exists():  # the file was written with another example
             continue
-        _write(path, text, "rename the existing file, or edit it")
+        _write_new_file(path, text, "rename the existing file, or edit it")
     return Exit.DONE
 
 
-def _write(path: Path, text: str, hint: str) -> None:
+def _write_new_file(path: Path, text: str, hint: str) -> None:
     """Write a file that must not exist yet, and print its name."""
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -158,7 +160,7 @@ def _write(path: Path, text: str, hint: str) -> None:
     print(path)
 
 
-def template(
+def build_template(
     name: str, file: str, lab: bool = False, camera: str | None = None, robots: str | None = None
 ) -> str:
     """Return the text of a commented spec that can be run, as `tetractl init` writes it.
@@ -177,8 +179,10 @@ def template(
         text = lab_template(robots or "m3pi-xbee", camera)
     else:
         text = (OURS / "robots.yaml").read_text("utf-8")
-    named = dump({"name": name}).strip("{}\n")  # in quotes if YAML would read the name as a number
-    return text.replace("@NAME@", named).replace("@FILE@", file)
+    name_line = dump({"name": name}).strip(
+        "{}\n"
+    )  # in quotes if YAML would read the name as a number
+    return text.replace("@NAME@", name_line).replace("@FILE@", file)
 
 
 def validate(
@@ -204,7 +208,7 @@ def validate(
     """
     checked = [_check(spec, sets or []) for spec in specs]
     if as_json:
-        print(json_text({"specs": [spec.fields for spec in checked]}))
+        print(format_json({"specs": [spec.fields for spec in checked]}))
     else:
         for spec in checked:
             print("\n".join(spec.lines))
@@ -214,14 +218,14 @@ def validate(
 
 
 @dataclass(frozen=True, slots=True)
-class _Checked:
+class CheckedFile:
     """The findings about a file that was checked: as items for JSON, and as lines of text."""
 
     fields: dict[str, Any]
     lines: list[str]
 
 
-def _check(path: Path, sets: list[str]) -> _Checked:
+def _check(path: Path, sets: list[str]) -> CheckedFile:
     """Check a spec, or a study and the specs of its arms, and print the warnings."""
     from tetractl.spec.load import is_study, load_document
     from tetractl.spec.yaml.document import read_document
@@ -234,11 +238,13 @@ def _check(path: Path, sets: list[str]) -> _Checked:
         loaded = load_document(document, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
-        return _Checked({"path": file, "ok": False, "problems": problems}, error.lines())
-    return _valid(file, loaded, ui.warn(loaded))
+        return CheckedFile({"path": file, "ok": False, "problems": problems}, error.lines())
+    return _summarise_valid(file, loaded, ui.warn(loaded))
 
 
-def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]") -> _Checked:
+def _summarise_valid(
+    file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]"
+) -> CheckedFile:
     """Return the findings about a valid spec."""
     from tetractl.model.bounds import least_total_error
     from tetractl.reach.reach import reach
@@ -267,10 +273,10 @@ def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]")
         "least_total_error": least_total_error(setup, setup.time_limit_s),
         "reach": reached.fields if reached else None,
     }
-    return _Checked(fields, [line])
+    return CheckedFile(fields, [line])
 
 
-def _check_study(path: Path, sets: list[str], file: str) -> _Checked:
+def _check_study(path: Path, sets: list[str], file: str) -> CheckedFile:
     """Check a study and the spec of each arm. Each warning is printed once."""
     from tetractl.run.plausibility import find_warnings
     from tetractl.study.load_study import load_study
@@ -290,7 +296,7 @@ def _check_study(path: Path, sets: list[str], file: str) -> _Checked:
         "warnings": [asdict(warning) for warning in warnings.values()],
     }
     line = f"{file}: ok: study {name}, arms {arms}, trials {trials} each"
-    return _Checked(fields, [line])
+    return CheckedFile(fields, [line])
 
 
 def warm(
@@ -316,16 +322,16 @@ def warm(
     from tetractl.control.methods.build import compiled_for, warm_up
     from tetractl.tools.cache import cache_folder
 
-    wanted: dict[str, list[Experiment]] = {}
-    for experiment in _experiments(specs or [], sets or []):
-        wanted.setdefault(compiled_for(experiment), []).append(experiment)
+    by_kernel: dict[str, list[Experiment]] = {}
+    for experiment in _load_experiments(specs or [], sets or []):
+        by_kernel.setdefault(compiled_for(experiment), []).append(experiment)
     console = open_console(stderr=True)
-    for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
+    for number, (kernel_kinds, experiments) in enumerate(by_kernel.items(), start=1):
         began_s = perf_counter()
-        with console.status(f"{number} of {len(wanted)}: compiling for {kinds}"):
+        with console.status(f"{number} of {len(by_kernel)}: compiling for {kernel_kinds}"):
             for experiment in experiments:  # the first spec compiles most of the code
                 warm_up(experiment, lambda text: None)
-        print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
+        print(f"{kernel_kinds}: {perf_counter() - began_s:.1f} s", flush=True)
     if verbose:
         _print_compile_times()
     ui.tell(f"kept in {cache_folder()}")
@@ -345,7 +351,7 @@ def _print_compile_times() -> None:
         print(f"{compile_time.own_s:7.2f}  {compile_time.versions:10d}  {name}")
 
 
-def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
+def _load_experiments(paths: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield the experiments for which `tetractl warm` compiles code.
 
     They are the specs, one arm for each controller of each study or, without files, the spec that
@@ -355,9 +361,9 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     from tetractl.spec.yaml.document import read_document
     from tetractl.study.load_study import load_study
 
-    if not files:
-        yield parse_spec(template("warm", "warm"), "warm", sets).experiment
-    for file in files:
+    if not paths:
+        yield parse_spec(build_template("warm", "warm"), "warm", sets).experiment
+    for file in paths:
         document = read_document(file)
         if is_study(document):
             arms = load_study(file, sets).arms

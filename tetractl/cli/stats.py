@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tetractl.cli import ui
 from tetractl.cli.options import LikeFormatJson, argument, option, switch
 from tetractl.core.errors import Exit, LogError
-from tetractl.tools.table.table_files import csv_text, json_text
-from tetractl.tools.table.terminal_table import TEXTS, print_tables
+from tetractl.tools.table.table_files import format_csv, format_json
+from tetractl.tools.table.terminal_table import TEXT_FORMATS, print_tables
 
 if TYPE_CHECKING:
     from tetractl.statistics.describe import BatchComparison, BatchStatistics
@@ -102,11 +102,11 @@ def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
     if form == "table":
         print_tables(tables_of(comparison))
     elif form == "json":
-        print(json_text(comparison_items(comparison)), flush=True)
+        print(format_json(comparison_items(comparison)), flush=True)
     elif form == "csv":
-        print(csv_text(data_table(comparison)), end="")
+        print(format_csv(data_table(comparison)), end="")
     else:
-        print(TEXTS[form](tables_of(comparison)))
+        print(TEXT_FORMATS[form](tables_of(comparison)))
 
 
 def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import argument, option, out_option, switch
-from tetractl.cli.unread import notice_of_signals
+from tetractl.cli.unread import create_signal_notice
 from tetractl.core.errors import Exit, UsageError
 from tetractl.run.interrupt import Interrupt, leave_on_signals
 from tetractl.tools.table.terminal_table import open_console, print_tables
@@ -124,7 +124,7 @@ def _run_tasks(
     from tetractl.study.missing_trials import warm_up_arms
     from tetractl.view.terminal.progress import StudyProgress
 
-    interrupt = Interrupt(notice_of_signals(STOPPING))
+    interrupt = Interrupt(create_signal_notice(STOPPING))
     if cluster is not None:
         chosen = Cluster(cluster, interrupt)
     else:

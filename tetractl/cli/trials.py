@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.cli import ui
 from tetractl.cli.stats import show
-from tetractl.cli.unread import give_up_unread, hung_up_unread, notice_of_signals
+from tetractl.cli.unread import create_signal_notice, discard_unread_output, hang_up_without_reader
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 from tetractl.run.interrupt import Interrupt, interrupted_once, leave_on_signals
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from tetractl.spec.loaded_spec import LoadedSpec
     from tetractl.spec.yaml.settings import FieldValue
 
-STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
+STOPPING_NOTICE = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 """Printed by the handler of the first signal."""
-PORT = 8765
+DEFAULT_PORT = 8765
 """TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
 
 
@@ -110,7 +110,7 @@ class RunOptions:
     rate: float | None = None
 
 
-def wanted_port(serve: bool, port: int | None) -> int | None:
+def choose_port(serve: bool, port: int | None) -> int | None:
     """Return the port at which viewers can watch the trials. None without --serve.
 
     Raises:
@@ -120,11 +120,11 @@ def wanted_port(serve: bool, port: int | None) -> int | None:
         if port is not None:
             raise UsageError("--port needs --serve")
         return None
-    return PORT if port is None else port
+    return DEFAULT_PORT if port is None else port
 
 
 def run_command(
-    loaded: "LoadedSpec", options: RunOptions, only: int | None = None
+    loaded: "LoadedSpec", options: RunOptions, only_trial: int | None = None
 ) -> tuple[int, Path]:
     """Run the trials of a spec, and print the statistics.
 
@@ -134,7 +134,7 @@ def run_command(
     Args:
         loaded: The spec.
         options: Options of the command.
-        only: Index of the only trial to run. None to run all.
+        only_trial: Index of the only trial to run. None to run all.
 
     Returns:
         The exit code and the logs' folder.
@@ -142,38 +142,38 @@ def run_command(
     from tetractl.run.store import Store
 
     experiment = loaded.experiment
-    lab = experiment.plant.real_time
-    if lab and options.jobs > 1:
+    in_lab = experiment.plant.real_time
+    if in_lab and options.jobs > 1:
         raise UsageError("--jobs works only in virtual time: the lab runs one trial at a time")
-    if lab and options.rate is not None:
+    if in_lab and options.rate is not None:
         raise UsageError(
             "--rate works only in virtual time: robots in the lab move at their own speed"
         )
-    if options.unattended and not (lab and options.yes):
+    if options.unattended and not (in_lab and options.yes):
         raise UsageError("--unattended is only for robots in a lab", "add --plant lab --yes")
 
     folder = options.out or new_log_folder(experiment.name)
     store = Store.of_batch(folder, experiment)
     if options.dry_run:
         store.read(options.resume)
-        _print_plan(loaded, folder, _planned(store, only))
+        _print_plan(loaded, folder, _list_planned(store, only_trial))
         return Exit.DONE, folder
-    if lab:
+    if in_lab:
         ui.require_yes_or_terminal(options.yes)
     with (
-        _served(experiment.name, options.port) as viewers,
+        _serve_trials(experiment.name, options.port) as viewers,
         store.opened(options.resume),
-        stoppable(loaded, options) as interrupt,
+        stop_on_signals(loaded, options) as interrupt,
     ):
-        planned = _planned(store, only)
+        planned = _list_planned(store, only_trial)
         report = _run_trials(loaded, store, planned, options, interrupt, viewers)
-        code = _conclude(report, planned, interrupt, lab, store, options.json)
+        code = _conclude(report, planned, interrupt, in_lab, store, options.json)
         return code, folder
 
 
-def _planned(store: "Store", only: int | None) -> list[int]:
+def _list_planned(store: "Store", only_trial: int | None) -> list[int]:
     """Return the numbers of the trials that are to be run."""
-    return store.lacking if only is None else [only]
+    return store.lacking if only_trial is None else [only_trial]
 
 
 def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
@@ -188,36 +188,36 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
     for line in resolved_yaml(loaded.experiment).removesuffix("\n").split("\n"):
         print(printable(line))
     print("# Limits")
-    for name, value in _limits(loaded.experiment).items():
+    for name, value in _describe_limits(loaded.experiment).items():
         print(f"#   {name}: {value}")
     print(f"# Trials to run: {len(planned)} of {loaded.experiment.trials.count}")
     if len(planned) == 1:
         print(f"# Logs to write: {log_path(folder, planned[0])}")
     elif planned:
-        first = log_path(folder, planned[0])
-        last = log_path(folder, planned[-1])
-        print(f"# Logs to write: {first} ... {last}")
+        first_log = log_path(folder, planned[0])
+        last_log = log_path(folder, planned[-1])
+        print(f"# Logs to write: {first_log} ... {last_log}")
 
 
-def _limits(experiment: "Experiment") -> dict[str, str]:
+def _describe_limits(experiment: "Experiment") -> dict[str, str]:
     """Return the limits of a trial as text, by name."""
     control = experiment.controller
     unit = experiment.units.length
-    longest = control.time_limit
-    fastest = max(robot.speed for robot in experiment.robots)
-    of_any_trial = {
+    duration_max_s = control.time_limit
+    speed_max = max(robot.speed for robot in experiment.robots)
+    common_limits = {
         "control period": f"{control.period:g} s",
-        "duration of a trial": f"at most {longest:g} s after the first command",
-        "path of a robot": f"at most {fastest * longest:g} {unit}",
+        "duration of a trial": f"at most {duration_max_s:g} s after the first command",
+        "path of a robot": f"at most {speed_max * duration_max_s:g} {unit}",
     }
-    return of_any_trial | control.bounds() | experiment.plant.bounds()
+    return common_limits | control.bounds() | experiment.plant.bounds()
 
 
 # ---- While trials run ----
 
 
 @contextmanager
-def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
+def _serve_trials(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
     """Yield observers that stream the trials of a `with` block to log viewers.
 
     There are none if `port` is None.
@@ -235,7 +235,7 @@ def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
 
 
 @contextmanager
-def stoppable(
+def stop_on_signals(
     loaded: "LoadedSpec", options: RunOptions, by_keys: bool = False
 ) -> "Iterator[Interrupt]":
     """Compile the controller, then let signals request the end of the run in the `with` block.
@@ -254,9 +254,9 @@ def stoppable(
     loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
     warm_up(loaded.experiment, partial(ui.announce_compiling, options.quiet))
     gc.freeze()  # exempts the compiler's objects from garbage collection
-    interrupt = Interrupt(notice_of_signals(STOPPING))
+    interrupt = Interrupt(create_signal_notice(STOPPING_NOTICE))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
-    with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab or by_keys):
+    with hang_up_without_reader(lab, options.unattended), interrupt.watch(robots=lab or by_keys):
         yield interrupt
 
 
@@ -270,8 +270,8 @@ def _run_trials(
 ) -> "Report":
     """Run trials, display them, and report them to `viewers`, until one ends the batch.
 
-    Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
-    all others by `in_lines`.
+    `_prepare_in_lab` shows the trials of the lab, `_prepare_on_screen` the trials that run one
+    after another on a terminal, and `prepare_in_lines` all others.
     """
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.hand import WallPace
@@ -284,22 +284,22 @@ def _run_trials(
     console = open_console(stderr=True, quiet=options.quiet)
     screen = shows_pictures(console) and not options.quiet
     if loaded.experiment.plant.real_time:
-        display = _in_lab(loaded.experiment, console, screen, options, interrupt, viewers)
+        display = _prepare_in_lab(loaded.experiment, console, screen, options, interrupt, viewers)
     elif screen and options.jobs == 1:
-        display = _on_screen(console, interrupt, viewers)
+        display = _prepare_on_screen(console, interrupt, viewers)
     else:
         unit = loaded.experiment.units.length
-        display = in_lines(console, unit, len(tasks), options.jobs, interrupt, viewers)
+        display = prepare_in_lines(console, unit, len(tasks), options.jobs, interrupt, viewers)
     on_failure = OnFailure.of_batch(loaded.experiment.plant, options.keep_going)
     with display as (executor, observer):
         return run_batch(tasks, store, executor, observer, on_failure)
 
 
 @contextmanager
-def _in_lab(
+def _prepare_in_lab(
     experiment: "Experiment",
     console: "Console",
-    screen: bool,
+    has_screen: bool,
     options: RunOptions,
     interrupt: Interrupt,
     viewers: "Sequence[Observer]",
@@ -314,21 +314,23 @@ def _in_lab(
     from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
-    safety = open_console(stderr=True)  # prints with --quiet, too
+    stop_console = open_console(stderr=True)  # prints with --quiet, too
     emergency = threading.Event()
     entered = threading.Event()
     with StopKey(emergency.set, entered.set, options.unattended) as key:
-        says = STOP_HINT if key.listening else NO_KEY
-        safety.print(says, style="bold", highlight=False)
-        asks = key.listening and not options.yes
-        prompt = TerminalPrompt(safety, entered) if asks else None
+        hint = STOP_HINT if key.listening else NO_KEY
+        stop_console.print(hint, style="bold", highlight=False)
+        asks_person = key.listening and not options.yes
+        prompt = TerminalPrompt(stop_console, entered) if asks_person else None
         supervision = LabSupervision(emergency, prompt, lambda: interrupt.requested)
-        watch = LabWatch(safety, console, experiment.units.length, screen and key.listening)
+        watch = LabWatch(
+            stop_console, console, experiment.units.length, has_screen and key.listening
+        )
         yield Here(interrupt, [watch, *viewers], supervision), watch
 
 
 @contextmanager
-def _on_screen(
+def _prepare_on_screen(
     console: "Console", interrupt: Interrupt, viewers: "Sequence[Observer]"
 ) -> "Iterator[tuple[Executor, RunObserver]]":
     """Prepare trials in this process: yield the object that runs them, and a live view of each."""
@@ -340,7 +342,7 @@ def _on_screen(
 
 
 @contextmanager
-def in_lines(
+def prepare_in_lines(
     console: "Console",
     unit: str,
     count: int,
@@ -450,7 +452,7 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
             statistics = describe(open_batch([folder]))
             show(contrast([statistics]), "json" if as_json else "table")
     except KeyboardInterrupt:
-        give_up_unread()
+        discard_unread_output()
         ui.tell("the statistics were not computed")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass

@@ -1,4 +1,4 @@
-"""Functions that several commands of the command line share.
+"""Functions that several commands of the command line share: loading, printing and asking.
 
 They load specs and logs, print messages and results, and ask before robots move.
 """
@@ -13,7 +13,7 @@ import typer
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.tools.table.table import Table
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 from tetractl.tools.table.terminal_table import open_console, print_tables
 from tetractl.tools.terminal import has_keys, is_terminal
 
@@ -68,7 +68,7 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
     """Print the problems and losses of a damaged log to stderr."""
     if damage:
         tell(*(f"damaged: {path}: {problem}" for problem in damage.problems))
-        tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
+        tell(*(f"lost: {path}: {loss}" for loss in damage.lost))
 
 
 # ---- What is printed ----
@@ -89,13 +89,13 @@ def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
         tables: The tables.
     """
     if as_json:
-        print(json_text(items))
+        print(format_json(items))
     else:
         print_tables(tables)
 
 
 @contextmanager
-def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
+def progress(description: str) -> "Iterator[Callable[[int, int | None], None]]":
     """Show a progress bar on a terminal during the `with` block.
 
     The block gets the function that updates the bar, called with the number done and the total.
@@ -104,7 +104,7 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
 
     console = open_console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(description, total=None)
         yield lambda done, count: bar.update(task, completed=done, total=count)
 
 
@@ -117,17 +117,17 @@ def announce_compiling(quiet: bool, text: str) -> None:
 # ---- What is written ----
 
 
-def refuse_existing(out: Path | None) -> None:
+def refuse_existing(path: Path | None) -> None:
     """Check that an output file does not exist yet, and that its folder does.
 
     Raises:
         UsageError: If not.
     """
-    if out is None:
+    if path is None:
         return
-    if out.exists():
-        raise UsageError(f"{out}: exists already", "choose another name with --out")
-    require_folder_of(out)
+    if path.exists():
+        raise UsageError(f"{path}: exists already", "choose another name with --out")
+    require_folder_of(path)
 
 
 def refuse_filled(folder: Path | None) -> None:
@@ -142,24 +142,24 @@ def refuse_filled(folder: Path | None) -> None:
         raise UsageError(f"{folder}: exists already", "choose another name with --out")
 
 
-def require_folder_of(out: Path) -> None:
+def require_folder_of(path: Path) -> None:
     """Check, before any work is done, that an output file can be written.
 
     Raises:
         UsageError: If the folder is missing, or if the name belongs to a folder.
     """
-    if not out.parent.is_dir():
-        raise UsageError(f"{out}: the folder {out.parent} does not exist")
-    if out.is_dir():
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: the folder {path.parent} does not exist")
+    if path.is_dir():
         raise UsageError(
-            f"{out}: this is a folder, but a file is needed", "name a file in this folder"
+            f"{path}: this is a folder, but a file is needed", "name a file in this folder"
         )
 
 
 # ---- Labs, and robots that move ----
 
 
-def rig_section(experiment: "Experiment") -> "RigSection":
+def find_rig_section(experiment: "Experiment") -> "RigSection":
     """Return the part of the spec that describes the lab, which must be the experiment's plant."""
     from tetractl.plant.lab_plant import RigSection
 
@@ -172,11 +172,11 @@ def rig_section(experiment: "Experiment") -> "RigSection":
     return lab
 
 
-def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None) -> "Rig":
+def build_rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None) -> "Rig":
     """Return a lab's rig, its camera and actuator, for a command that runs no trial."""
     from numpy.random import SeedSequence
 
-    lab = rig_section(experiment)
+    lab = find_rig_section(experiment)
     seed = SeedSequence(experiment.trials.seed)
     return lab.rig(experiment.setup, lab.clock(), seed, supervision, chosen=experiment.open)
 
@@ -194,12 +194,17 @@ def require_yes_or_terminal(yes: bool) -> None:
         )
 
 
-def require_consent(yes: bool, what: str) -> None:
+def require_consent(yes: bool, consequence: str) -> None:
     """Ask the user on stderr whether robots may move, unless `yes` is given.
 
-    The question says `what` will happen. An error is raised if they may not, or if there is no
-    terminal to ask.
+    Args:
+        yes: Whether the user has agreed already.
+        consequence: What will happen, as a sentence that precedes the question.
+
+    Raises:
+        UsageError: If there is no terminal to ask.
+        Abort: If the robots may not move.
     """
     require_yes_or_terminal(yes)
     if not yes:
-        typer.confirm(f"{what} Continue?", abort=True, err=True)
+        typer.confirm(f"{consequence} Continue?", abort=True, err=True)

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 STDOUT = 1
 STDERR = 2
-READERS_LOOK_MS = 200
+READER_CHECK_MS = 200
 """Time between two looks at whether a run has ended whose readers are watched."""
-GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
+CLOSED_EVENTS = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
 """What `poll` says of a closed stream; Windows has no `poll`."""
 
 
-class Messages(io.FileIO):
+class MessageStream(io.FileIO):
     """The stream stderr, to which writing never fails.
 
     Text that cannot be written, as on a closed terminal or a full disk, is lost.
@@ -43,20 +43,20 @@ class Messages(io.FileIO):
 
     def write(self, data: "ReadableBuffer", /) -> int:
         """Write bytes, wait for the reader, and return their number, as if all were written."""
-        piece = bytes(data)
-        rest = piece
+        content = bytes(data)
+        unwritten = content
         with suppress(OSError):
-            while rest:
-                count = super().write(rest)
+            while unwritten:
+                count = super().write(unwritten)
                 if count is None:  # another program made the terminal non-blocking
                     select.select([], [self], [])
                 else:
-                    rest = rest[count:]
-        return len(piece)
+                    unwritten = unwritten[count:]
+        return len(content)
 
 
 def open_streams() -> None:
-    """Replace `sys.stderr` by a stream of `Messages`, and make both streams safe for any character.
+    """Replace `sys.stderr` by a `MessageStream`, and make both streams safe for any character.
 
     Characters that a stream's encoding lacks are escaped. A closed standard descriptor is opened on
     the null device, so that no log gets its number.
@@ -73,7 +73,7 @@ def open_streams() -> None:
         binary = os.fdopen(STDOUT, "wb", closefd=False)
         by_line = False
     sys.stdout = io.TextIOWrapper(binary, encoding, escapes, line_buffering=by_line)
-    sys.stderr = io.TextIOWrapper(Messages(), encoding, escapes, line_buffering=True)
+    sys.stderr = io.TextIOWrapper(MessageStream(), encoding, escapes, line_buffering=True)
 
 
 def close_stdout() -> None:
@@ -84,46 +84,46 @@ def close_stdout() -> None:
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
-        _lose(STDOUT)
+        _discard_output(STDOUT)
 
 
-def say_at_once(text: bytes) -> None:
+def write_at_once(text: bytes) -> None:
     """Write a short line to stderr if it accepts text now. This is safe in a signal handler."""
-    if _accepts(STDERR):
+    if _accepts_output(STDERR):
         with suppress(OSError):
             os.write(STDERR, text)
 
 
-def notice_of_signals(text: bytes) -> Callable[[int], None]:
+def create_signal_notice(text: bytes) -> Callable[[int], None]:
     """Return the function by which an `Interrupt` reports signals to the user.
 
     The function prints `text` at the first signal, and never waits for a reader.
     """
 
     def notice(count: int) -> None:
-        give_up_unread()
+        discard_unread_output()
         if count == 1:
-            say_at_once(text)
+            write_at_once(text)
 
     return notice
 
 
-def give_up_unread() -> None:
+def discard_unread_output() -> None:
     """Discard all further output to those standard streams that accept nothing now.
 
     Threads that wait for such a stream's reader then go on. Call this in the main thread only.
     """
-    stuck = [stream for stream in (STDOUT, STDERR) if not _accepts(stream)]
-    for stream in stuck:
-        _lose(stream)
-    if stuck:  # a signal ends the wait of a thread, which then writes to the null device
+    stuck_streams = [stream for stream in (STDOUT, STDERR) if not _accepts_output(stream)]
+    for stream in stuck_streams:
+        _discard_output(stream)
+    if stuck_streams:  # a signal ends the wait of a thread, which then writes to the null device
         signal.signal(signal.SIGURG, lambda *_: None)
         for thread in threading.enumerate():
             if thread is not threading.main_thread() and thread.ident is not None:
                 signal.pthread_kill(thread.ident, signal.SIGURG)
 
 
-def _accepts(stream: int) -> bool:
+def _accepts_output(stream: int) -> bool:
     """Check, without waiting, whether a stream accepts a line or fails at once."""
     if not hasattr(select, "poll"):  # Windows
         return True
@@ -132,7 +132,7 @@ def _accepts(stream: int) -> bool:
     return bool(poll.poll(0))
 
 
-def _lose(stream: int) -> None:
+def _discard_output(stream: int) -> None:
     """Connect a standard stream to the null device, so that its output is discarded."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream)
@@ -140,10 +140,10 @@ def _lose(stream: int) -> None:
 
 
 @contextmanager
-def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
+def hang_up_without_reader(moves_robots: bool = True, unattended: bool = False) -> Iterator[None]:
     """While robots move, send SIGHUP to this process once nobody reads its output.
 
-    The signal is sent if `robots` is True, once neither stdout nor stderr has a reader.
+    The signal is sent if `moves_robots` is True, once neither stdout nor stderr has a reader.
 
     Only a pipe, a socket or a terminal has a reader: if both streams are files, no signal is sent.
     If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,
@@ -153,11 +153,11 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
         yield
         return
     if unattended:
-        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        previous_handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
         try:
             yield
         finally:
-            signal.signal(signal.SIGHUP, before)
+            signal.signal(signal.SIGHUP, previous_handler)
         return
     modes = {stream: os.fstat(stream).st_mode for stream in (STDOUT, STDERR)}
     streams = [
@@ -165,19 +165,19 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
         for stream, mode in modes.items()
         if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(stream)
     ]
-    if not robots or not streams:
+    if not moves_robots or not streams:
         yield
         return
     main_thread = threading.get_ident()
-    ended = threading.Event()
+    has_ended = threading.Event()
     thread = threading.Thread(
-        target=_watch_readers, args=(streams, ended, main_thread), name="readers", daemon=True
+        target=_watch_readers, args=(streams, has_ended, main_thread), name="readers", daemon=True
     )
     thread.start()
     try:
         yield
     finally:
-        ended.set()
+        has_ended.set()
         thread.join()
 
 
@@ -186,11 +186,11 @@ def _watch_readers(streams: list[int], has_ended: threading.Event, main_thread: 
     poll = select.poll()
     for stream in streams:
         poll.register(stream, 0)  # 0: report errors only
-    read = set(streams)
-    while read and not has_ended.is_set():
-        for stream, event in poll.poll(READERS_LOOK_MS):
-            if event & GONE:
+    with_reader = set(streams)
+    while with_reader and not has_ended.is_set():
+        for stream, event in poll.poll(READER_CHECK_MS):
+            if event & CLOSED_EVENTS:
                 poll.unregister(stream)
-                read.discard(stream)
+                with_reader.discard(stream)
     if not has_ended.is_set():
         signal.pthread_kill(main_thread, signal.SIGHUP)

@@ -18,10 +18,12 @@ from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Integers, Observation
 
-LOSS_LOOK_NS = SECOND // 10  # time between two frames in which standing robots are looked for
-STRIDE_S = 0.05  # least way by which a robot has moved, as a time of driving
-STRIDE_MOST_S = 0.2  # greatest way that counts between two such frames: a pose may jump
-DEAD_S = 5.0  # way, as a time of driving, that one robot drives until another one counts as dead
+CHECK_PERIOD_NS = SECOND // 10  # time between two frames in which standing robots are looked for
+STRIDE_MIN_S = 0.05  # least way by which a robot has moved, as a time of driving
+STRIDE_MAX_S = 0.2  # greatest way that counts between two such frames: a pose may jump
+DEAD_AFTER_S = (
+    5.0  # way, as a time of driving, that one robot drives until another one counts as dead
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class LossRule:
         after_s: Time for which a robot must be untracked to be lost [s].
         replaced: Whether a body that is tracked again under the robot's name counts as another
             robot, which takes over the lost robot's target.
-        dead: Whether a robot that is seen but dead (see `Standing`) is also lost.
+        dead: Whether a robot that is seen but dead (see `StandstillDetector`) is also lost.
         ends: Whether a lost robot ends the trial. In this case, robots never count as lost here.
     """
 
@@ -42,7 +44,7 @@ class LossRule:
     ends: bool = False
 
 
-class Standing:
+class StandstillDetector:
     """A detector of robots that stand still while another robot drives.
 
     All robots receive the same commands. A robot that stands still for a long time while another
@@ -65,10 +67,10 @@ class Standing:
 
         NaN until it is seen.
         """
-        self._way_s = np.zeros(count)
+        self._driven_s = np.zeros(count)
         """Distance each robot has travelled, as a time of driving at its speed [s], shape (N,)."""
-        self._way_when_moved_s = np.zeros((count, count))
-        """Row i: the entries of `_way_s` when robot i last moved, shape (N, N) [s]."""
+        self._driven_when_moved_s = np.zeros((count, count))
+        """Row i: the entries of `_driven_s` when robot i last moved, shape (N, N) [s]."""
 
     def add_frame(self, frame: Observation) -> Bools | None:
         """Check in a new camera frame which robots stand still although others drive.
@@ -77,17 +79,17 @@ class Standing:
             Which robots have stood still while another one drove for DEAD_S, shape (N,). None if no
             robot moved.
         """
-        self.due_ns = (frame.sampled_ns // LOSS_LOOK_NS + 1) * LOSS_LOOK_NS
+        self.due_ns = (frame.sampled_ns // CHECK_PERIOD_NS + 1) * CHECK_PERIOD_NS
         xy = frame.poses.xy
         since_s = elementwise.hypot(*(xy - self._moved_at).T) / self._speed
-        has_moved = frame.valid & ~(since_s < STRIDE_S)  # one seen for the first time has
+        has_moved = frame.valid & ~(since_s < STRIDE_MIN_S)  # one seen for the first time has
         if not has_moved.any():
             return None
-        self._way_s[has_moved] += np.fmin(since_s, STRIDE_MOST_S)[has_moved]
+        self._driven_s[has_moved] += np.fmin(since_s, STRIDE_MAX_S)[has_moved]
         self._moved_at[has_moved] = xy[has_moved]
-        self._way_when_moved_s[has_moved | ~frame.valid] = self._way_s
-        others_drove_s = (self._way_s - self._way_when_moved_s).max(axis=1)
-        return self._can_drive & (others_drove_s >= DEAD_S)
+        self._driven_when_moved_s[has_moved | ~frame.valid] = self._driven_s
+        others_drove_s = (self._driven_s - self._driven_when_moved_s).max(axis=1)
+        return self._can_drive & (others_drove_s >= DEAD_AFTER_S)
 
 
 class Losses:
@@ -109,7 +111,7 @@ class Losses:
         self.times: Integers = np.zeros(count, dtype=np.int64)
         """How often each robot has been lost (N,)."""
         self._rule = rule
-        self._standing = Standing(speed)
+        self._standstill_detector = StandstillDetector(speed)
         self._tracked_ns: Integers | None = None
         """Time of the last frame in which each robot was tracked, (N,).
 
@@ -131,16 +133,16 @@ class Losses:
         A lost robot is replaced when it is tracked again, if the rule says so. Without a rule, or
         if a loss ends the trial, only dead robots are found, and the result is empty.
         """
-        if frame.sampled_ns >= self._standing.due_ns:
-            self._add_dead(self._standing.add_frame(frame))
+        if frame.sampled_ns >= self._standstill_detector.due_ns:
+            self._mark_dead(self._standstill_detector.add_frame(frame))
         if self._rule is None or self._rule.ends:
             return []
         self._waiting.append(frame)
         if frame.sampled_ns < self._due_ns:
             return []
-        return self._count_waiting(self._rule)
+        return self._evaluate_waiting(self._rule)
 
-    def _add_dead(self, dead: Bools | None) -> None:
+    def _mark_dead(self, dead: Bools | None) -> None:
         """Mark robots as dead, shape (N,).
 
         Those that are present also count as lost if the rule has `dead` and not `ends`. None marks
@@ -151,9 +153,9 @@ class Losses:
         self.dead = self.dead | dead
         if self._rule and self._rule.dead and not self._rule.ends:
             newly_lost = dead & self.present
-            self._change(newly_lost, self.lost | newly_lost)
+            self._store_lost(newly_lost, self.lost | newly_lost)
 
-    def _count_waiting(self, rule: LossRule) -> list[int]:
+    def _evaluate_waiting(self, rule: LossRule) -> list[int]:
         """Evaluate the waiting frames by the rule, and return which robots are back (indices)."""
         after_ns = round(rule.after_s * SECOND)
         tracked_ns = self._tracked_ns
@@ -163,23 +165,23 @@ class Losses:
         for frame in self._waiting:
             newly_lost = self.present & (frame.sampled_ns - tracked_ns >= after_ns)
             tracked_ns[frame.valid] = frame.sampled_ns
-            lost = self.lost | newly_lost
-            is_back = lost & frame.valid & rule.replaced
+            lost_now = self.lost | newly_lost
+            is_back = lost_now & frame.valid & rule.replaced
             if newly_lost.any() or is_back.any():
-                self._change(newly_lost, lost & ~is_back)
+                self._store_lost(newly_lost, lost_now & ~is_back)
         self._tracked_ns = tracked_ns
         self._due_ns = int(tracked_ns.min()) + after_ns if self.present.all() else 0
         self._waiting.clear()
         return np.flatnonzero(is_back).tolist()
 
-    def _change(self, newly_lost: Bools, lost: Bools) -> None:
+    def _store_lost(self, newly_lost: Bools, lost_now: Bools) -> None:
         """Count the robots that are newly lost (N,), and store which are lost now (N,)."""
         self.times = self.times + newly_lost
-        self.lost = lost
+        self.lost = lost_now
         self.changes += 1
 
 
-STOOD = "while others drive", "though commanded to move"
+STOOD_STILL_ENDINGS = "while others drive", "though commanded to move"
 """Endings of the reason of a result if a robot stood still: today's, and the one of older logs."""
 
 
@@ -193,7 +195,8 @@ def describe_dead(names: Sequence[str], dead: Bools) -> str:
         names: Names of the robots.
         dead: Which of them are dead, shape (N,).
     """
-    who = [name for name, is_dead in zip(names, dead.tolist(), strict=True) if is_dead]
-    if not who:
+    dead_names = [name for name, is_dead in zip(names, dead.tolist(), strict=True) if is_dead]
+    if not dead_names:
         return ""
-    return f"{', '.join(who)} {'do' if len(who) > 1 else 'does'} not move {STOOD[0]}"
+    verb = "do" if len(dead_names) > 1 else "does"
+    return f"{', '.join(dead_names)} {verb} not move {STOOD_STILL_ENDINGS[0]}"

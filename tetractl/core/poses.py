@@ -64,9 +64,9 @@ class Pose:
     height: float | None = None
     tilt: float | None = None
 
-    def distance_to(self, place: "Pose") -> float:
+    def distance_to(self, other: "Pose") -> float:
         """Return the distance between the positions of two poses [length unit]."""
-        return hypot(self.x - place.x, self.y - place.y)
+        return hypot(self.x - other.x, self.y - other.y)
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,13 +329,13 @@ class Frames(NamedTuple):
         ]
         valid = [observation.valid for observation in observations]
         return cls(
-            numbers=_integers([observation.frame for observation in observations]),
-            sampled_ns=_integers([observation.sampled_ns for observation in observations]),
-            received_ns=_integers([observation.received_ns for observation in observations]),
-            poses=_stacked([observation.poses for observation in observations], robots),
+            numbers=_to_integers([observation.frame for observation in observations]),
+            sampled_ns=_to_integers([observation.sampled_ns for observation in observations]),
+            received_ns=_to_integers([observation.received_ns for observation in observations]),
+            poses=_stack_poses([observation.poses for observation in observations], robots),
             valid=np.array(valid, dtype=np.bool_).reshape(-1, robots),
-            truth=_stacked(truths, robots) if all_known else None,
-            exposed_ns=_integers(exposed_ns).reshape(-1, robots),
+            truth=_stack_poses(truths, robots) if all_known else None,
+            exposed_ns=_to_integers(exposed_ns).reshape(-1, robots),
         )
 
     @classmethod
@@ -353,7 +353,7 @@ class Frames(NamedTuple):
         return Frames(*columns)
 
 
-def _stacked(poses: Sequence[Poses], robots: int) -> Floats:
+def _stack_poses(poses: Sequence[Poses], robots: int) -> Floats:
     """Stack the poses of N robots at M times in an array (M, N, 3)."""
     rows: list[Floats] = []
     for pose in poses:
@@ -361,5 +361,5 @@ def _stacked(poses: Sequence[Poses], robots: int) -> Floats:
     return np.concatenate([[], *rows]).reshape(-1, 3, robots).transpose(0, 2, 1)
 
 
-def _integers(values: Sequence[Any]) -> Integers:
+def _to_integers(values: Sequence[Any]) -> Integers:
     return np.array(values, dtype=np.int64)

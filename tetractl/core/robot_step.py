@@ -5,7 +5,7 @@ it (positive to the left), and the angle that it turned (positive anticlockwise)
 fitted to many poses also has the variance of each part.
 
     step = RobotStep.fitted(times_s, places)
-    step.way / step.std                     each part of the motion in standard deviations
+    step.motion / step.std                     each part of the motion in standard deviations
 
 Lengths are in the caller's unit, angles in rad, times in ns.
 """
@@ -30,7 +30,7 @@ class RobotStep:
     """The motion of a robot from one time to another, in its own axes.
 
     Attributes:
-        way: Shape (3,): along, across [length unit], turned [rad].
+        motion: Shape (3,): along, across [length unit], turned [rad].
         variance: Shape (3,): the variance of each part.
         dt_ns: Duration [ns]. 0 if it does not matter.
         until_ns: When the step ended [ns].
@@ -38,7 +38,7 @@ class RobotStep:
         before: The pose at which the step began. None if it was not one pose.
     """
 
-    way: Floats
+    motion: Floats
     variance: Floats
     dt_ns: int = 0
     until_ns: int = 0
@@ -79,8 +79,8 @@ class RobotStep:
         across = dy * cosine - dx * sine
         half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
         chord = elementary.sin(half) / half if half else 1.0
-        way = np.array([along / chord, across, turned])
-        return cls(way, EXACT, dt_ns, until_ns, robot, before)
+        motion = np.array([along / chord, across, turned])
+        return cls(motion, EXACT, dt_ns, until_ns, robot, before)
 
     @classmethod
     def fitted(cls, times_s: Floats, places: Floats) -> "RobotStep":

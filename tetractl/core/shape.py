@@ -42,9 +42,9 @@ class Shape:
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
         """The smallest axis-aligned rectangle around the shape: left, bottom, right, top."""
-        low = self.corners.min(axis=0)
-        high = self.corners.max(axis=0)
-        return *(low - self.radius).tolist(), *(high + self.radius).tolist()
+        lower = self.corners.min(axis=0)
+        upper = self.corners.max(axis=0)
+        return *(lower - self.radius).tolist(), *(upper + self.radius).tolist()
 
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Check which points are in the shape or on its edge: p(s) of the paper's (13)."""
@@ -56,14 +56,14 @@ class Shape:
         A point is inside the polygon if a ray from it crosses an odd number of edges.
         """
         shape = np.broadcast(x, y).shape
-        x, y = (a.ravel() for a in np.broadcast_arrays(x, y))
+        x, y = (coordinates.ravel() for coordinates in np.broadcast_arrays(x, y))
         inside = np.zeros(x.shape, dtype=np.bool_)
-        least2 = np.full(x.shape, np.inf)
+        nearest2 = np.full(x.shape, np.inf)
         for ax, ay, bx, by in self._edges():
             inside ^= np.logical_xor.reduce(ray_crosses(x, y, ax, ay, bx, by), axis=0)
-            least2 = np.minimum(least2, gap2(x, y, ax, ay, bx, by).min(axis=0))
-        least = np.sqrt(least2)
-        return (np.where(inside, -least, least) - self.radius).reshape(shape)
+            nearest2 = np.minimum(nearest2, gap2(x, y, ax, ay, bx, by).min(axis=0))
+        nearest = np.sqrt(nearest2)
+        return (np.where(inside, -nearest, nearest) - self.radius).reshape(shape)
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
         """Check which straight segments touch the shape.
@@ -76,30 +76,32 @@ class Shape:
         """
         x0, y0, x1, y1 = np.broadcast_arrays(x0, y0, x1, y1)
         left, bottom, right, top = self.box
-        near = np.asarray((np.maximum(x0, x1) >= left) & (np.minimum(x0, x1) <= right))
-        near &= (np.maximum(y0, y1) >= bottom) & (np.minimum(y0, y1) <= top)
-        if near.any():
-            near[near] = self._touched(x0[near], y0[near], x1[near], y1[near])
-        return near
+        may_touch = np.asarray((np.maximum(x0, x1) >= left) & (np.minimum(x0, x1) <= right))
+        may_touch &= (np.maximum(y0, y1) >= bottom) & (np.minimum(y0, y1) <= top)
+        if may_touch.any():
+            may_touch[may_touch] = self._find_touching(
+                x0[may_touch], y0[may_touch], x1[may_touch], y1[may_touch]
+            )
+        return may_touch
 
-    def _touched(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
+    def _find_touching(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
         """Check which segments (M,) begin inside, or come nearer to an edge than the radius."""
-        touched = np.zeros(x0.shape, dtype=np.bool_)
+        touches = np.zeros(x0.shape, dtype=np.bool_)
         inside = np.zeros(x0.shape, dtype=np.bool_)
         for ax, ay, bx, by in self._edges():
-            apart2 = segments_gap2(x0, y0, x1, y1, ax, ay, bx, by)
-            touched |= (apart2 <= self.radius * self.radius).any(axis=0)
+            distance2 = segments_gap2(x0, y0, x1, y1, ax, ay, bx, by)
+            touches |= (distance2 <= self.radius * self.radius).any(axis=0)
             inside ^= np.logical_xor.reduce(ray_crosses(x0, y0, ax, ay, bx, by), axis=0)
-        return touched | inside
+        return touches | inside
 
     def outline(self) -> Floats:
         """Return a polygon for drawing the shape: corners in anticlockwise order, shape (M, 2)."""
         if self.radius == 0:
             return self.corners
-        angle = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-        away = np.column_stack([elementwise.cos(angle), elementwise.sin(angle)])
-        furthest = np.einsum("ak,ck->ac", away, self.corners).argmax(axis=1)
-        return self.corners[furthest] + self.radius * away
+        angles = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+        directions = np.column_stack([elementwise.cos(angles), elementwise.sin(angles)])
+        furthest = np.einsum("ak,ck->ac", directions, self.corners).argmax(axis=1)
+        return self.corners[furthest] + self.radius * directions
 
     def _edges(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
         """Yield the edges of the polygon in groups of up to EDGES_AT_A_TIME.
@@ -108,8 +110,8 @@ class Shape:
         """
         starts = np.concatenate([self.corners[-1:], self.corners[:-1]])
         edges = np.hstack([starts, self.corners])
-        for first in range(0, len(edges), EDGES_AT_A_TIME):
-            ax, ay, bx, by = edges[first : first + EDGES_AT_A_TIME].T[..., None]
+        for start in range(0, len(edges), EDGES_AT_A_TIME):
+            ax, ay, bx, by = edges[start : start + EDGES_AT_A_TIME].T[..., None]
             yield ax, ay, bx, by
 
 

@@ -332,7 +332,7 @@ class DriftCheck(GuardCheck):
                 earlier.pose, later.pose, dt_ns=dt_ns, until_ns=later.exposed_ns, robot=i
             )
             step_columns, step_variance = self._build_columns(
-                [step], step.way[None] * (self._mm, self._mm, 1.0)
+                [step], step.motion[None] * (self._mm, self._mm, 1.0)
             )
             columns = columns + step_columns[0]
             variance = variance + step_variance[0]
@@ -429,7 +429,7 @@ class DriftCheck(GuardCheck):
         if not blocks:
             return
         robots = [block.robot for block in blocks]
-        motions = np.array([block.way for block in blocks]) + self._clipped_motion[robots]
+        motions = np.array([block.motion for block in blocks]) + self._clipped_motion[robots]
         columns, variances = self._build_columns(blocks, motions)
         deviations = np.sqrt(self._pose_variance + variances)
         columns /= deviations[:, :, None]

@@ -385,7 +385,7 @@ class MotionCheck(GuardCheck):
         self._driven_s[robot] = 0.0
         travelled = since_rest.travelled[robot].copy()
         if moments:
-            travelled += RobotStep.between(before, pose).way
+            travelled += RobotStep.between(before, pose).motion
         motion = np.array([travelled, *integrals])
         contradiction = self._find_contradiction(robot, motion)
         if contradiction is not None:

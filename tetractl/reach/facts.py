@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.core.setup import Setup
 from tetractl.reach.reach import reach
 from tetractl.spec.experiment import Experiment
-from tetractl.tools.table.table import Table, plural
+from tetractl.tools.table.table import Table, pluralize
 
 
 def most_similar(setup: Setup) -> tuple[int, int] | None:
@@ -48,7 +48,7 @@ def facts_table(experiment: Experiment) -> Table | None:
         radii = setup.speed / setup.a.min()
         circles = [f"{name} {r:.3g}" for name, r in zip(setup.names, radii, strict=True)]
         facts.append((f"radii of the smallest circles [{setup.unit}]", ", ".join(circles)))
-    title = f"{setup.name}: {len(setup.names)} {plural('robot', len(setup.names))}"
+    title = f"{setup.name}: {len(setup.names)} {pluralize('robot', len(setup.names))}"
     return Table.of_texts(title, ("figure", "value"), facts)
 
 

@@ -32,9 +32,9 @@ from tetractl.statistics.tables import (
     texts_by_label,
     trials_listed,
 )
-from tetractl.tools.table.table import NONE, Column, Table
-from tetractl.tools.table.table_files import plain
-from tetractl.tools.table.terminal_table import html
+from tetractl.tools.table.table import UNKNOWN_TEXT, Column, Table
+from tetractl.tools.table.table_files import convert_to_plain
+from tetractl.tools.table.terminal_table import format_html
 
 MANY = 100
 """Maximum number of trials of which the page contains all, with plans and searches."""
@@ -262,7 +262,7 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     means = [total.mean for total in totals]
     least = min((total.mean for total in totals if total.n), default=math.nan)
     show = error_format(least, decimals_shown(groups[0].experiment))
-    intervals = [total.ci95.text(show) if total.ci95.known else NONE for total in totals]
+    intervals = [total.ci95.text(show) if total.ci95.known else UNKNOWN_TEXT for total in totals]
     columns = [
         Column("batch", [group.name for group in groups]),
         Column("n", [total.n for total in totals]),
@@ -316,14 +316,14 @@ def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
         of_group = tables(BatchComparison((group,)))
         listed = trials_listed(group)
         number = Column("trial", [numbers.get(trial.log) for trial in group.batch.trials])
-        trials = html([replace(listed, columns=(number, *listed.columns))], links)
+        trials = format_html([replace(listed, columns=(number, *listed.columns))], links)
         parts.append(
             f"<section><h2>Statistics{name}</h2>{_tables(of_group)}"
             f"<details open><summary>All trials</summary>{trials}</details></section>"
         )
     if compared.contrasts:
         parts.append(f"<section><h2>Comparison</h2>{_tables(tables(compared))}</section>")
-    items = plain(comparison_items(compared))
+    items = convert_to_plain(comparison_items(compared))
     data = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
     parts.append(
         f'<script type="application/json" class="statistics">{script_json(data)}</script>\n'
@@ -333,7 +333,7 @@ def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
 
 def _tables(listed: Sequence[Table]) -> str:
     """Return tables as HTML, side by side where there is room."""
-    cells = [f"<div>{html([table])}</div>" for table in listed]
+    cells = [f"<div>{format_html([table])}</div>" for table in listed]
     return f'<div class="tables">{"".join(cells)}</div>'
 
 

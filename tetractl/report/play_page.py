@@ -16,7 +16,7 @@ from tetractl.plant.sim_section import SimSection
 from tetractl.report.html_page import THEME, FramedPage, asset, html_page, script_json
 from tetractl.report.trial_data import packed, trial_data
 from tetractl.spec.loaded_spec import LoadedSpec
-from tetractl.tools.table.table import plural
+from tetractl.tools.table.table import pluralize
 
 SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "motion.js", "play.js")
 """The scripts of the page, in the order in which they need each other."""
@@ -124,7 +124,7 @@ def _task(setup: Setup) -> str:
     """Describe in words what the person has to do."""
     around = ""
     if setup.obstacles:
-        around = f", around the yellow {plural('obstacle', len(setup.obstacles))}"
+        around = f", around the yellow {pluralize('obstacle', len(setup.obstacles))}"
     count = len(setup.names)
     if count == 1:
         return (

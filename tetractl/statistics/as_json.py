@@ -12,7 +12,7 @@ from tetractl.statistics.flagged import flagged
 from tetractl.statistics.statistic import trial_items
 from tetractl.statistics.trial_tables import trials_table
 from tetractl.tools.table.table import Table
-from tetractl.tools.table.table_files import flat
+from tetractl.tools.table.table_files import flatten
 
 
 def comparison_items(comparison: BatchComparison) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def data_table(comparison: BatchComparison) -> Table:
     """
     if len(comparison.groups) == 1:
         return trials_table(comparison.groups[0].batch)
-    rows = [flat(contrast_items(contrast)) for contrast in comparison.contrasts]
+    rows = [flatten(contrast_items(contrast)) for contrast in comparison.contrasts]
     return Table.of_records("comparisons", rows)
 
 

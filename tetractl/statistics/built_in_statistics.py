@@ -47,7 +47,12 @@ from tetractl.statistics.flagged import (
     turns_of,
 )
 from tetractl.statistics.statistic import Figure, Statistic, mean_figure, share_figure
-from tetractl.tools.table.table import NONE, digits, lengths, listing
+from tetractl.tools.table.table import (
+    UNKNOWN_TEXT,
+    create_length_format,
+    format_digits,
+    join_listed,
+)
 
 # ---- How trials ended ----
 
@@ -106,7 +111,7 @@ def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> 
     Its JSON has the same keys as the figure of a known fraction, with the value None.
     """
     items = {key: None, f"{key}_ci95": None}
-    return Figure(label, f"{NONE} ({reason})", items, unusual)
+    return Figure(label, f"{UNKNOWN_TEXT} ({reason})", items, unusual)
 
 
 def total(
@@ -164,7 +169,7 @@ def minimum(key: str, label: str, distances_in: Distances) -> Statistic:
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
         distances = [of_trial(trial)[key] for trial in trials]
         nearest = min((value for value in distances if value is not None), default=None)
-        text = NONE if nearest is None else lengths(nearest)(nearest)
+        text = UNKNOWN_TEXT if nearest is None else create_length_format(nearest)(nearest)
         unit = trials[0].experiment.units.length
         return [Figure(f"{label} [{unit}]", text, {key: nearest}, unusual=False)]
 
@@ -284,14 +289,14 @@ def mean_of_each(
         for key in rows[0]:
             numbers = [row[key] for row in rows if row[key] is not None]
             mean = float(np.mean(numbers)) if numbers else None
-            text = NONE if mean is None else f"{show(mean)} (n {len(numbers)})"
+            text = UNKNOWN_TEXT if mean is None else f"{show(mean)} (n {len(numbers)})"
             figures.append(Figure(f"{label} ({key})", text, {key: mean}))
         return figures
 
     return Statistic(of_batch, of_trial)
 
 
-WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", digits)
+WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", format_digits)
 LOST = mean_of_each(_lost, "mean number of robots", "{:.3g}".format)
 TIME_INSIDE = mean_of_each(
     _time_inside, "mean share of the hold's time within the radius", "{:.3f}".format
@@ -384,11 +389,11 @@ def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
     for key, percentile in PERCENTILES.items():
         time_ms = float(np.percentile(solve_ms, percentile)) if solve_ns else None
         times_ms[key] = time_ms
-        text = NONE if time_ms is None else digits(time_ms)
+        text = UNKNOWN_TEXT if time_ms is None else format_digits(time_ms)
         figures.append(Figure(f"solve time while driving, {key} [ms]", text, unusual=False))
     longest = max((ns for trial in trials for ns in trial.result.solve_ns), default=None)
     longest_ms = None if longest is None else longest / MILLISECOND
-    text = NONE if longest_ms is None else digits(longest_ms)
+    text = UNKNOWN_TEXT if longest_ms is None else format_digits(longest_ms)
     figures.append(Figure("solve time of all plans, max [ms]", text, unusual=False))
     return [*figures, Figure("", "", {"solve_ms": times_ms, "solve_all_max_ms": longest_ms})]
 
@@ -465,7 +470,7 @@ def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
         largest = max(turn.limit for turn in turns)
         return f"{text}, turns above {largest:.2f} rad/s would be noticed"
     named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in unusual]
-    return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
+    return f"{text}, by wheels that changed or false poses: {join_listed(named, '; ')}"
 
 
 TURN = Statistic(_turned, turn_columns)

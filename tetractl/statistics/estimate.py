@@ -17,7 +17,7 @@ import numpy as np
 from scipy import special
 
 from tetractl.core.poses import Floats
-from tetractl.tools.table.table import NONE, lengths
+from tetractl.tools.table.table import UNKNOWN_TEXT, create_length_format
 
 CONFIDENCE = 0.95
 
@@ -59,7 +59,7 @@ class Interval:
         """
         if self.known:
             return f"{show(self.low)} to {show(self.high)}"
-        return f"none: {self.reason}" if self.reason else NONE
+        return f"none: {self.reason}" if self.reason else UNKNOWN_TEXT
 
     @property
     def bounds(self) -> list[float] | None:
@@ -104,8 +104,8 @@ class Tail:
         The text is "-" if there is no bound.
         """
         if not math.isfinite(self.bound):
-            return NONE
-        bound = f"{lengths(self.bound)(self.bound)} {unit}".strip()
+            return UNKNOWN_TEXT
+        bound = f"{create_length_format(self.bound)(self.bound)} {unit}".strip()
         return f"{self.above} of {self.n} above {bound}{percent(self.ci95)}"
 
     def as_dict(self) -> dict[str, Any]:

@@ -36,13 +36,13 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.losses import STOOD
+from tetractl.core.losses import STOOD_STILL_ENDINGS
 from tetractl.core.plan import Outcome
 from tetractl.core.setup import MM
 from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.statistics.open_batch import Batch, counts, errors_known
-from tetractl.tools.table.table import plural
+from tetractl.tools.table.table import pluralize
 
 ATTEMPT = "an earlier attempt, excluded"
 
@@ -115,16 +115,16 @@ def trial_notes(trial: ResultSummary) -> list[str]:
     notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
     lost = sum(result.lost)
     if lost:
-        notes.append(f"{lost} {plural('robot', lost)} lost")
+        notes.append(f"{lost} {pluralize('robot', lost)} lost")
     if trial.outcome is Outcome.STEPS_MAX:
         notes.append(f"did not end in {result.steps} steps")
     if trial.outcome is Outcome.TIME_LIMIT:
         notes.append(f"did not end in {trial.experiment.controller.time_limit:g} s")
     if trial.warnings and not trial.simulated:
-        notes.append(f"{trial.warnings} {plural('warning', trial.warnings)}")
+        notes.append(f"{trial.warnings} {pluralize('warning', trial.warnings)}")
     if trial.recovered:
         notes.append("read from a damaged log")
-    if not errors_known(trial) or result.reason.endswith(STOOD):
+    if not errors_known(trial) or result.reason.endswith(STOOD_STILL_ENDINGS):
         notes.append(result.reason or "its errors are unknown")
     return notes
 

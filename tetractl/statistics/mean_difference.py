@@ -10,7 +10,7 @@ from scipy import special
 
 from tetractl.core.poses import Floats
 from tetractl.statistics.estimate import CONFIDENCE, Distribution, Interval, t_quantile
-from tetractl.tools.table.table import p_value
+from tetractl.tools.table.table import format_p_value
 
 _NAN = math.nan
 
@@ -68,7 +68,7 @@ class MeanDifference:
         if not p >= 0:  # NaN
             return difference
         equals = "" if p < 0.001 else "= "
-        return f"{difference}, p {equals}{p_value(p)}"
+        return f"{difference}, p {equals}{format_p_value(p)}"
 
     def as_dict(self) -> dict[str, object]:
         """Return the difference of means as items of JSON. Without a test, the p-value is NaN."""

@@ -14,7 +14,7 @@ from tetractl.log.read.find import find_logs, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
-from tetractl.tools.table.table import listing
+from tetractl.tools.table.table import join_listed
 
 OnLog = Callable[[int, int], object]
 """Called with the numbers of logs read and of all logs."""
@@ -260,7 +260,7 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
     fields = differences(first.experiment, second.experiment)
     if fields:
         raise UsageError(
-            f"{first.log} and {second.log} are from different experiments: {listing(fields)}",
+            f"{first.log} and {second.log} are from different experiments: {join_listed(fields)}",
             "give logs from only one batch, and the other batch with --against",
             "give logs from only one batch, and the other batch with compare()",
         )

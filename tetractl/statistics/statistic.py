@@ -22,7 +22,7 @@ from tetractl.core.trial import Result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.statistics.estimate import Distribution, distributions, percent, proportion_interval
 from tetractl.statistics.open_batch import counts
-from tetractl.tools.table.table import lengths
+from tetractl.tools.table.table import create_length_format
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def mean_figure(key: str, label: str, values: Distribution, states_n: bool = Fal
         values: The distribution.
         states_n: Whether the text states the number of trials.
     """
-    show = lengths(values.mean)
+    show = create_length_format(values.mean)
     n = f"n {values.n}, " if states_n else ""
     text = f"{show(values.mean)} ({n}95 % interval {values.ci95.text(show)})"
     return Figure(label, text, {key: values.as_dict()})

@@ -21,7 +21,15 @@ from tetractl.statistics.estimate import Distribution, Interval, known_distribut
 from tetractl.statistics.flagged import flagged, unsafe
 from tetractl.statistics.mean_difference import MeanDifference
 from tetractl.statistics.statistic import Figure
-from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, listing, p_value
+from tetractl.tools.table.table import (
+    UNKNOWN_TEXT,
+    Column,
+    Table,
+    create_decimal_format,
+    create_length_format,
+    format_p_value,
+    join_listed,
+)
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
@@ -72,7 +80,7 @@ def _verdict(contrast: Contrast) -> str:
     else:
         verdict = f"{contrast.verdict} mean error"
     first = contrast.first
-    show = lengths(contrast.difference.value, decimals_shown(first.experiment))
+    show = create_length_format(contrast.difference.value, decimals_shown(first.experiment))
     difference = contrast.difference.text(first.unit, show, contrast.p_holm)
     basis = contrast.test_of_means
     if contrast.pairs:  # otherwise the numbers of trials are in the table
@@ -92,10 +100,10 @@ def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
     only_batch = [groups[0].name] if len(groups) == 1 else None
     texts: dict[str, list[str]] = {}  # by label
     for (label, text), of_text in names.items():
-        named = text if of_text == only_batch else f"{listing(of_text)}: {text}"
+        named = text if of_text == only_batch else f"{join_listed(of_text)}: {text}"
         texts.setdefault(label, []).append(named)
     for label, of_label in texts.items():
-        yield f"{label}: {listing(of_label, '; ')}"
+        yield f"{label}: {join_listed(of_label, '; ')}"
 
 
 def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
@@ -172,8 +180,8 @@ def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
     A batch that does not come from real robots is not compared.
     """
     if not group.origin.comparable:
-        return f"{NONE} (not real robots)"
-    text = difference.text(group.unit, lengths(difference.value), difference.p_value)
+        return f"{UNKNOWN_TEXT} (not real robots)"
+    text = difference.text(group.unit, create_length_format(difference.value), difference.p_value)
     return f"{text} (Welch's t)"
 
 
@@ -221,7 +229,7 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
     logs = [log for group in groups for log in flagged(group.batch)]
     rows = [(log.log, log.outcome, ", ".join(log.notes)) for log in logs[:LISTED_MAX]]
     if len(logs) > LISTED_MAX:
-        rows.append((f"{len(logs) - LISTED_MAX} more", NONE, "in --format json"))
+        rows.append((f"{len(logs) - LISTED_MAX} more", UNKNOWN_TEXT, "in --format json"))
     return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
 
 
@@ -234,11 +242,11 @@ def error_format(smallest: float, decimals_most: int) -> Callable[[float], str]:
     `smallest` is usually the minimum mean. A value of more than ten times that is shown with three
     digits of its own. No value has more than `decimals_most` decimals.
     """
-    format_of_least = lengths(smallest, decimals_most)
+    format_of_least = create_length_format(smallest, decimals_most)
 
     def show(value: float) -> str:
         if value > 10 * smallest > 0:
-            format_of_value = lengths(value, decimals_most)
+            format_of_value = create_length_format(value, decimals_most)
             return format_of_value(value)
         return format_of_least(value)
 
@@ -329,7 +337,7 @@ def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distrib
             key = (published.n, published.mean, published.std)
             names.setdefault(key, []).append(group.name)
     for (n, mean, std), of_result in names.items():
-        name = "published" if len(names) == 1 else f"published for {listing(of_result)}"
+        name = "published" if len(names) == 1 else f"published for {join_listed(of_result)}"
         yield name, known_distribution(n, mean, std, Interval.none(""))
 
 
@@ -356,7 +364,7 @@ def differences_table(contrasts: Sequence[Contrast]) -> Table:
     first = contrasts[0].first
     sizes = [abs(contrast.difference.value) for contrast in contrasts]
     largest = max(filter(math.isfinite, sizes), default=0.0)
-    show = lengths(largest, decimals_shown(first.experiment))
+    show = create_length_format(largest, decimals_shown(first.experiment))
     title = "Comparison of the mean total errors"
     if any(contrast.same_origin for contrast in contrasts) and len(contrasts) > 1:
         title += f", p corrected for {len(contrasts)} tests"
@@ -370,7 +378,7 @@ def differences_table(contrasts: Sequence[Contrast]) -> Table:
             Column("trials", [contrast.counted for contrast in contrasts], words=True),
             Column("difference", values, first.unit, show),
             Column("95 % interval", intervals),
-            Column("p (Holm)", [contrast.p_holm for contrast in contrasts], format=p_value),
+            Column("p (Holm)", [contrast.p_holm for contrast in contrasts], format=format_p_value),
             Column("verdict on the mean error", verdicts, words=True),
         ),
     )
@@ -392,11 +400,13 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
     rows = [
         (
             contrast.name,
-            contrast.tests if contrast.same_origin else NONE,
-            p_value(contrast.rank_p_holm),
-            f"{fixed(2)(contrast.detects)} sd" if contrast.detects > 0 else NONE,
+            contrast.tests if contrast.same_origin else UNKNOWN_TEXT,
+            format_p_value(contrast.rank_p_holm),
+            f"{create_decimal_format(2)(contrast.detects)} sd"
+            if contrast.detects > 0
+            else UNKNOWN_TEXT,
             contrast.why_unpaired,
-            listing(contrast.differs) or "nothing",
+            join_listed(contrast.differs) or "nothing",
         )
         for contrast in contrasts
     ]
@@ -412,14 +422,16 @@ def trials_listed(group: BatchStatistics) -> Table:
     Earlier attempts and unreadable logs are left out.
     """
     trials = group.batch.trials
-    show = lengths(group.total.mean)
+    show = create_length_format(group.total.mean)
     outcomes = dict.fromkeys(trial.outcome for trial in trials)
     return Table(
         "",
         (
             Column("log", [Path(trial.log).name for trial in trials]),
             Column("total error", [t.result.total_error for t in trials], group.unit, show),
-            Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),
+            Column(
+                "duration", [t.result.duration_s for t in trials], "s", create_decimal_format(2)
+            ),
             Column("steps", [trial.result.steps for trial in trials]),
             Column("unsafe", [", ".join(unsafe(trial)) or "no" for trial in trials]),
             Column("outcome", [trial.outcome.value for trial in trials]),

@@ -17,7 +17,7 @@ from tetractl.statistics.tables import GIVEN_DIRECTIONS, error_table
 from tetractl.statistics.trial_tables import trials_table
 from tetractl.study.load_study import Arm, LoadedStudy, as_yaml, shown
 from tetractl.tools.table.table import Column, Table
-from tetractl.tools.table.table_files import table_files
+from tetractl.tools.table.table_files import open_table_files
 
 TRIALS = "trials.csv"
 """Name of the table of all trials, which is the same whenever the study is run."""
@@ -65,7 +65,7 @@ def write_table(loaded: LoadedStudy, store: Store) -> Path:
                 row[column.key] = column.listed[0]
         rows.append(row | {"content_digest": trial.digest, "code": trial.code})
     path = store.folder / TRIALS
-    with table_files({"trials": path}) as add:
+    with open_table_files({"trials": path}) as add:
         if rows:
             add("trials", Table.of_records("trials", rows), "")
     return path

@@ -27,9 +27,9 @@ from tetractl.statistics.describe import (
 )
 from tetractl.statistics.open_batch import Batch, Batches
 from tetractl.statistics.tables import differences_table, summary, trials_listed
-from tetractl.tools.table.table import Column, Table, fixed, lengths
+from tetractl.tools.table.table import Column, Table, create_decimal_format, create_length_format
 from tetractl.tools.table.terminal_table import LISTED_MAX
-from tetractl.tools.table.terminal_table import html as html_of_tables
+from tetractl.tools.table.terminal_table import format_html as html_of_tables
 from tetractl.verification.verify import Verification
 from tetractl.view import style
 from tetractl.view.figures.draw import draw
@@ -64,14 +64,14 @@ def _(spec: LoadedSpec) -> str:
     experiment = spec.experiment
     setup = experiment.setup
     unit = unit_of(setup.unit)
-    as_fastest = lengths(float(np.max(setup.speed)))
+    as_fastest = create_length_format(float(np.max(setup.speed)))
     robots = Table(
         "",
         (
             Column("robot", setup.names),
             Column("start", [_place(xy) for xy in setup.starts.xy], unit),
             Column("target", [_place(xy) for xy in setup.targets], unit),
-            Column("a", setup.a, "rad/s", fixed(2)),
+            Column("a", setup.a, "rad/s", create_decimal_format(2)),
             Column("speed", setup.speed, f"{unit}/s", as_fastest),
         ),
     )
@@ -93,7 +93,7 @@ def _(trial: TrialLog) -> str:
         lines.append("the log ends before the end of the trial")
     else:
         unit = unit_of(setup.unit)
-        show = lengths(result.total_error)
+        show = create_length_format(result.total_error)
         error = f"total error {show(result.total_error)} {unit}"
         lines.append(f"{result.summary}, {result.duration_s:.1f} s: {error}")
         if result.entered_obstacle:

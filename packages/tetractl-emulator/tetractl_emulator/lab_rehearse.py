@@ -18,7 +18,7 @@ from tetractl.cli.options import Sets, Spec, option, out_option, switch
 from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
-from tetractl.tools.table.table import plural
+from tetractl.tools.table.table import pluralize
 from tetractl.tools.terminal import is_terminal
 
 SPECS = "the spec itself causes this abort: correct the spec first, then rehearse it"
@@ -139,8 +139,8 @@ def rehearse(
         ui.tell(f"interrupted; to continue, run the same command again with --out {folder}")
     played = [rows[day] for day in wanted if day in rows]
     bad = [row for row in played if row["violations"]]
-    played_days = f"{len(played)} {plural('day', len(played))}"
-    violations = f"{len(bad)} {plural('violation', len(bad))}"
+    played_days = f"{len(played)} {pluralize('day', len(played))}"
+    violations = f"{len(bad)} {pluralize('violation', len(bad))}"
     last = f"{played_days}, {violations}"
     said = table(played), reasons(played), summary(played), last
     print(*filter(None, said), sep="\n\n")

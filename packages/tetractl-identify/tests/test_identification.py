@@ -28,7 +28,7 @@ from tetractl.plant.simulation import SimPlant
 from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 from tetractl.tools.likelihood import SampleInterval
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 
 pytestmark = pytest.mark.slow
 
@@ -263,7 +263,7 @@ def test_what_a_doubt_may_spoil_has_no_interval(flag, says):
         assert np.isnan(robot.heading_bias.high)
         assert robot.speed == INTERVAL
     assert says in tables(identification)[0].note
-    assert json.loads(json_text(identification))[flag] is True
+    assert json.loads(format_json(identification))[flag] is True
 
 
 @pytest.mark.long

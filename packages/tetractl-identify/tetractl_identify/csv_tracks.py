@@ -29,11 +29,11 @@ from tetractl.tools.table.quantities import (
     SECONDS,
     TIME_NAMES,
     NumberColumn,
-    earlier,
+    create_order_error,
     find_column,
     find_time,
-    name_and_unit,
-    truth,
+    split_header,
+    read_truth,
 )
 from tetractl_identify.measured_poses import measured
 from tetractl_identify.motive import table_rows
@@ -148,7 +148,7 @@ class _TrialNumbers:
                 f"{path}, line {row.line}: the time goes back to an earlier value", hint
             )
         if time < newest:
-            raise earlier(
+            raise create_order_error(
                 path,
                 row,
                 "; if the file holds two recordings, number them in a column named trial instead",
@@ -200,7 +200,7 @@ def _add_pose(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None
     trial.poses_path = columns.path
     robot = row.cells.get("robot", "")
     number = trial.robots.setdefault(robot, len(trial.robots))
-    valid = truth(columns.path, row, "valid")
+    valid = read_truth(columns.path, row, "valid")
     time = trial.take_time(columns.path, row, columns.time, ("poses", robot))
     pose = [columns.number(row, name) for name in ("x", "y", "heading")]
     trial.poses.extend((time, number))
@@ -374,11 +374,11 @@ def _find_columns(path: Path, headers: Mapping[str, str]) -> _TableColumns:
     Raises:
         UsageError: If the file contains neither, or if a column has an unknown unit or none.
     """
-    quantities_named = {name_and_unit(header)[0] for header in headers}
+    quantities_named = {split_header(header)[0] for header in headers}
     time = find_time(path, headers)
     present: dict[str, int] = {}
     for form, columns in TABLE_COLUMNS.items():
-        quantities = dict(map(name_and_unit, columns))
+        quantities = dict(map(split_header, columns))
         present[form] = len(quantities_named & quantities.keys())
         if present[form] < len(columns) or time is None:
             continue
@@ -408,16 +408,16 @@ def _missing_columns_error(
     """
     columns_found = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SHOWN])
     likeliest = max(reversed(present), key=lambda form: present[form])
-    quantities_present = {name_and_unit(header)[0] for header in headers}
+    quantities_present = {split_header(header)[0] for header in headers}
     missing = [] if quantities_present & set(TIME_NAMES) else ["time_s"]
     missing += [
         column
         for column in TABLE_COLUMNS[likeliest]
-        if name_and_unit(column)[0] not in quantities_present
+        if split_header(column)[0] not in quantities_present
     ]
     for header in headers:
         for column in missing:
-            name, unit = name_and_unit(column)
+            name, unit = split_header(column)
             if header.lower().startswith(f"{name}_"):
                 units = ", ".join(UNITS.get(unit, SECONDS))
                 return UsageError(
@@ -457,7 +457,7 @@ def _position_columns(
 
     Both must have the same unit, otherwise a `UsageError` is raised.
     """
-    named = {name_and_unit(header): header for header in headers}
+    named = {split_header(header): header for header in headers}
     for unit in METRES:
         if ("x", unit) in named and ("y", unit) in named:
             return unit, NumberColumn(named["x", unit]), NumberColumn(named["y", unit])

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.tools.table.csv_rows import CsvRow, csv_entries, csv_lines, is_number, read_csv
+from tetractl.tools.table.csv_rows import CsvRow, csv_lines, is_number, read_csv, split_entries
 
 FIRST = "Format Version"
 """The first entry of such a file."""
@@ -105,7 +105,7 @@ def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
     lines = csv_lines(path)
     top = next(lines)[1]
     separator = top[len(FIRST)] if len(top) > len(FIRST) else ","
-    settings_row = csv_entries(top, separator)
+    settings_row = split_entries(top, separator)
     settings = dict(zip(settings_row[::2], settings_row[1::2], strict=False))
     space = settings.get("Coordinate Space", GLOBAL)
     if space.lower() != GLOBAL.lower():
@@ -118,7 +118,7 @@ def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
     rotation_type = settings.get("Rotation Type", QUATERNION)
     header: list[list[str]] = []
     for _, line in lines:
-        header.append(csv_entries(line, separator))
+        header.append(split_entries(line, separator))
         if header[-1][0] == "Frame" or len(header) > HEADER_ROWS:
             break
     bodies = _bodies(path, header, 4 if rotation_type == QUATERNION else 3)
@@ -136,7 +136,7 @@ def _numbers(
     is_empty = True
     for number, line in lines:
         is_empty = False
-        texts = csv_entries(line, take.separator)[: take.width]
+        texts = split_entries(line, take.separator)[: take.width]
         entries = np.full(take.width, np.nan)
         entries[: len(texts)] = [_number(path, number, text) for text in texts]
         yield number, entries

@@ -12,7 +12,7 @@ from tetractl.cli.lab import save_calibration, watched_by_operator
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
 from tetractl.core.errors import Exit, UsageError
 from tetractl.tools.files import save_whole
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 
 if TYPE_CHECKING:
     from tetractl_microscope.choice.candidate import RobotCandidate
@@ -114,7 +114,7 @@ def survey(
     supervision = LabSupervision()
     with (
         watched_by_operator(supervision, experiment.plant.real_time),
-        ui.rig_of(experiment, supervision) as rig,
+        ui.build_rig_of(experiment, supervision) as rig,
     ):
         cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
     wrong, turning = handedness_lines(turned)
@@ -135,7 +135,7 @@ def survey(
         numbers = [[first.number, second.number] for first, second in pairs]
         listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
         print(
-            json_text(
+            format_json(
                 {
                     "unit": unit,
                     "cells": listed,

@@ -6,7 +6,7 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
-from tetractl.tools.table.table_files import table_files
+from tetractl.tools.table.table_files import open_table_files
 
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".wmv", ".tif", ".tiff", ".nd2", ".czi", ".gif")
 """Endings of the names of films, which are given to a tracking program first."""
@@ -117,7 +117,7 @@ def track(
     ui.show(as_json, record, cell_tables(record))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        with table_files({"cells": out / "cells.csv"}) as add:
+        with open_table_files({"cells": out / "cells.csv"}) as add:
             add("cells", cell_data(record), "")
         ui.tell(printable(f"wrote {out}: cells.csv"))
     return Exit.DONE

@@ -8,7 +8,7 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError
 from tetractl.spec.yaml.problems import did_you_mean
-from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.table_files import format_json
 from tetractl.tools.table.terminal_table import print_tables
 from tetractl_papers.registries import PAPERS
 
@@ -66,5 +66,5 @@ def reproduce(
             )
         unexpected += len(differing)
     if as_json:
-        print(json_text({"papers": described or {name: {} for name in PAPERS.names()}}))
+        print(format_json({"papers": described or {name: {} for name in PAPERS.names()}}))
     return Exit.FAILED if unexpected else Exit.DONE

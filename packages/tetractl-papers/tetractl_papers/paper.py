@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from tetractl.tools.table.table import Table, lengths
+from tetractl.tools.table.table import Table, create_length_format
 from tetractl_papers.claim import Claim, NumberKind, OurNumber, Row
 
 
@@ -107,7 +107,7 @@ def _number(number: OurNumber, unit: str) -> str:
 
 def _length(value: float) -> str:
     """Format a number with the digits that suit its size."""
-    return lengths(value)(value)
+    return create_length_format(value)(value)
 
 
 def _interval(number: OurNumber) -> str:
@@ -119,7 +119,7 @@ def _interval(number: OurNumber) -> str:
         return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
     if math.isnan(number.low) or number.low == number.high:
         return "none"
-    show = lengths(number.value)
+    show = create_length_format(number.value)
     return f"{show(number.low)} to {show(number.high)}"
 
 

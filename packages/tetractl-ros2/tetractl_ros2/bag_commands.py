@@ -32,7 +32,7 @@ def rosbag_tables(
 
     Example: tetractl rosbag-tables recording -o tables && tetractl identify tables/*.csv
     """
-    from tetractl.tools.table.table_files import csv_text
+    from tetractl.tools.table.table_files import format_csv
     from tetractl_ros2.bag_tables import command_table, pose_table, read_bag
 
     contents = read_bag(bag)
@@ -45,7 +45,7 @@ def rosbag_tables(
         tables["commands.csv"] = command_table(contents)
     out.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
-        save_whole(out / name, csv_text(table).encode())
+        save_whole(out / name, format_csv(table).encode())
         print(printable(str(out / name)))
     return Exit.DONE
 

@@ -10,7 +10,7 @@ from tetractl_testing import (
     check_shape,
 )
 
-from tetractl.cli.specs import template
+from tetractl.cli.specs import build_template
 from tetractl.core import registries
 from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
 from tetractl.model.shapes import Circle, Polygon, Rectangle
@@ -18,7 +18,7 @@ from tetractl.spec.load import parse_spec
 
 pytestmark = pytest.mark.slow
 
-SETUP = parse_spec(template("check", "check"), "check").experiment.setup
+SETUP = parse_spec(build_template("check", "check"), "check").experiment.setup
 SHAPES = {
     "circle": Circle(type="circle", center=(3.0, -2.0), radius=40.0),
     "rectangle": Rectangle(type="rectangle", left=-5, bottom=2, width=30, height=12),

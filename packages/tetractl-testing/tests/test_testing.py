@@ -30,7 +30,7 @@ from tetractl_testing import (
 )
 from tetractl_testing.device_checks import _check_leaving
 
-from tetractl.cli.specs import template
+from tetractl.cli.specs import build_template
 from tetractl.control.methods.sequence import SequenceSection
 from tetractl.control.search.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
@@ -51,7 +51,7 @@ from tetractl.spec.experiment import ShapeSection
 from tetractl.spec.lab_section import ActuatorSection, CameraSection
 from tetractl.spec.load import parse_spec
 
-SETUP = parse_spec(template("check", "check"), "check").experiment.setup
+SETUP = parse_spec(build_template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
 USAGE = """
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError

@@ -32,7 +32,7 @@ def interrupt(monkeypatch):
     def stoppable(loaded, options):
         yield interrupt
 
-    monkeypatch.setattr(analyze, "stoppable", stoppable)
+    monkeypatch.setattr(analyze, "stop_on_signals", stoppable)
     return interrupt
 
 

@@ -108,7 +108,7 @@ def checked(monkeypatch):
         left = list(answers)
         preflight = SimpleNamespace(can_start=can_start, questions=list(questions))
         monkeypatch.setattr("tetractl.lab.preflight.inspect_lab", lambda rig, practice: preflight)
-        monkeypatch.setattr(module.ui, "rig_of", lambda experiment: None)
+        monkeypatch.setattr(module.ui, "build_rig_of", lambda experiment: None)
         monkeypatch.setattr("tetractl.view.terminal.findings.print_findings", lambda *_: None)
         monkeypatch.setattr(module, "has_keys", lambda: terminal)
         monkeypatch.setattr(module.typer, "confirm", lambda question, err: left.pop(0))

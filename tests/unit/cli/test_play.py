@@ -9,13 +9,13 @@ from testkit.batches import result
 from tetractl.cli import play
 from tetractl.cli.play import (
     Game,
-    _best,
     _conclude,
-    _error,
-    _harder,
-    _how_well,
-    _line,
-    _on_terminal,
+    _describe_error,
+    _describe_result,
+    _find_best,
+    _play_on_terminal,
+    _suggest_disturbances,
+    _summarise_game,
 )
 from tetractl.core.errors import Exit
 from tetractl.core.plan import Outcome
@@ -61,12 +61,14 @@ def game(tmp_path):
 
 def test_a_trial_is_described_by_its_error_and_time_and_by_what_went_wrong():
     experiment = SPEC.experiment
-    assert _how_well(ended(), experiment) == "30.0 mm in 12 s"
-    assert _how_well(ended(entered=True), experiment) == "30.0 mm in 12 s through an obstacle"
-    assert _how_well(ended(outside=True), experiment) == "30.0 mm in 12 s outside the arena"
-    both = _how_well(ended(entered=True, outside=True), experiment)
+    assert _describe_result(ended(), experiment) == "30.0 mm in 12 s"
+    assert (
+        _describe_result(ended(entered=True), experiment) == "30.0 mm in 12 s through an obstacle"
+    )
+    assert _describe_result(ended(outside=True), experiment) == "30.0 mm in 12 s outside the arena"
+    both = _describe_result(ended(entered=True, outside=True), experiment)
     assert both == "30.0 mm in 12 s through an obstacle and outside the arena"
-    assert _how_well(STOPPED, experiment) == "stopped after 12.4 s (a robot left the arena)"
+    assert _describe_result(STOPPED, experiment) == "stopped after 12.4 s (a robot left the arena)"
 
 
 @pytest.mark.parametrize(
@@ -83,8 +85,8 @@ def test_an_error_too_small_for_the_arena_is_a_limit(width, error, text):
     robots = (spec.robots[0].model_copy(update={"start": (1, 1), "target": (2, 2)}),)
     arena = spec.arena.model_copy(update={"width": width})
     experiment = spec.model_copy(update={"arena": arena, "robots": robots})
-    assert _error(ended([error]), experiment) == f"{text} in 12 s"
-    assert "<" not in _error(ended([0.02]), experiment)
+    assert _describe_error(ended([error]), experiment) == f"{text} in 12 s"
+    assert "<" not in _describe_error(ended([0.02]), experiment)
 
 
 def test_the_best_try_is_the_nearest_one_that_was_not_lost():
@@ -92,16 +94,16 @@ def test_the_best_try_is_the_nearest_one_that_was_not_lost():
     through = ended([2.0], entered=True)
     aborted = replace(STOPPED, total_error=3.0)
     good = ended([20.0])
-    assert _best([near, ended([40.0]), good, through, aborted]) is good
-    assert _best([through, near, aborted]) is near  # if all are lost, the nearest of all
+    assert _find_best([near, ended([40.0]), good, through, aborted]) is good
+    assert _find_best([through, near, aborted]) is near  # if all are lost, the nearest of all
 
 
 def test_one_line_tells_all_tries_and_the_controller(game):
     game.yours = [ended([30.0])]
-    assert _line(game) == "you 30.0 mm in 12 s"
+    assert _summarise_game(game) == "you 30.0 mm in 12 s"
     game.yours = [ended([30.0]), ended([20.0]), ended([10.0])]
     game.theirs = ended([5.0])
-    assert _line(game) == (
+    assert _summarise_game(game) == (
         "you 30.0 mm in 12 s, again 20.0 mm in 12 s, again 10.0 mm in 12 s, "
         "the controller 5.00 mm in 12 s"
     )
@@ -111,16 +113,16 @@ def test_a_spec_with_disturbances_is_suggested_only_if_this_one_simulates_none(
     tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    lines = _harder(SPEC.experiment)
+    lines = _suggest_disturbances(SPEC.experiment)
     assert [line.split()[:2] for line in lines[1:]] == [["tetractl", "init"], ["tetractl", "play"]]
     file = tmp_path / lines[-1].split()[-1]
     file.parent.mkdir()
     file.touch()
-    assert len(_harder(SPEC.experiment)) == 2  # it need not be written first
+    assert len(_suggest_disturbances(SPEC.experiment)) == 2  # it need not be written first
     disturbed = parse_spec(SPEC.text, "s", ["plant.a_error=0.1"])
-    assert _harder(disturbed.experiment) == []
+    assert _suggest_disturbances(disturbed.experiment) == []
     lab = SimpleNamespace(plant=SimpleNamespace(disturbed=False, simulated=False))
-    assert _harder(lab) == []
+    assert _suggest_disturbances(lab) == []
 
 
 # the trials of a game
@@ -280,9 +282,9 @@ def test_keys_between_trials_choose_the_next_one(game, monkeypatch, answers, tri
         game.theirs = ended()
         return left.pop(0)
 
-    monkeypatch.setattr(play, "_you_steer", you)
-    monkeypatch.setattr(play, "_controller_steers", controller)
-    _on_terminal(game, None, 1.0)
+    monkeypatch.setattr(play, "_run_own_trial", you)
+    monkeypatch.setattr(play, "_run_controller_trial", controller)
+    _play_on_terminal(game, None, 1.0)
     assert run == trials_run
     assert left == []
 
@@ -292,6 +294,6 @@ def test_no_trial_follows_once_the_game_is_over(game, monkeypatch):
         game.over = True
         return AGAIN
 
-    monkeypatch.setattr(play, "_you_steer", you)
-    _on_terminal(game, None, 1.0)
+    monkeypatch.setattr(play, "_run_own_trial", you)
+    _play_on_terminal(game, None, 1.0)
     assert game.over

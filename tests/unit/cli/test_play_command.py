@@ -49,15 +49,15 @@ def game(monkeypatch, tmp_path):
     )
     monkeypatch.setattr("tetractl.control.methods.build.warm_up", lambda *_: None)
     monkeypatch.setattr("tetractl.run.folder_lock.locked", lambda folder: nullcontext())
-    monkeypatch.setattr(module, "stoppable", stoppable)
+    monkeypatch.setattr(module, "stop_on_signals", stoppable)
     monkeypatch.setattr(
         module,
-        "_in_lab",
+        "_play_in_lab",
         lambda game, console, ask_to_place: done.events.append(f"in the lab, ask {ask_to_place}"),
     )
     monkeypatch.setattr(
         module,
-        "_on_terminal",
+        "_play_on_terminal",
         lambda game, console, speed: done.events.append(f"on the terminal, {speed} times"),
     )
     monkeypatch.setattr(module, "_conclude", lambda game: Exit.DONE)

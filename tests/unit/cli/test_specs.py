@@ -7,7 +7,15 @@ import pytest
 from testkit.paths import ROOT
 
 from tetractl.cli import specs as module
-from tetractl.cli.specs import _experiments, example_files, init, schema, template, validate, warm
+from tetractl.cli.specs import (
+    _load_experiments,
+    build_template,
+    init,
+    read_example_files,
+    schema,
+    validate,
+    warm,
+)
 from tetractl.core.errors import Exit, UsageError
 from tetractl.spec.load import parse_spec
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -91,16 +99,16 @@ def test_a_folder_that_is_missing_is_one_line(here):
 
 
 def test_a_name_that_yaml_reads_as_a_number_is_quoted():
-    assert parse_spec(template("1e3", "f"), "f").experiment.name == "1e3"
-    assert parse_spec(template("null", "f"), "f").experiment.name == "null"
-    assert "tetractl run f" in template("a", "f")
+    assert parse_spec(build_template("1e3", "f"), "f").experiment.name == "1e3"
+    assert parse_spec(build_template("null", "f"), "f").experiment.name == "null"
+    assert "tetractl run f" in build_template("a", "f")
 
 
 # examples
 
 
 def test_an_example_brings_the_files_that_it_names():
-    files = example_files("studies/dead_time")
+    files = read_example_files("studies/dead_time")
     first = next(iter(files))
     assert first == "studies/dead_time.yaml"
     assert len(files) > 1
@@ -110,12 +118,12 @@ def test_an_example_brings_the_files_that_it_names():
 
 @pytest.mark.parametrize("name", ["three_m3pi", "three_m3pi.yaml", "experiments/three_m3pi.yaml"])
 def test_an_example_has_its_name_with_or_without_folder_and_ending(name):
-    assert list(example_files(name)) == ["three_m3pi.yaml"]
+    assert list(read_example_files(name)) == ["three_m3pi.yaml"]
 
 
 def test_an_unknown_example_lists_examples_and_folders():
     with pytest.raises(UsageError) as caught:
-        example_files("three_m3pj")
+        read_example_files("three_m3pj")
     assert caught.value.message.endswith("did you mean 'three_m3pi'?")
     listed = caught.value.hint.removeprefix("the available examples are ").split(", ")
     assert "three_m3pi" in listed
@@ -187,12 +195,12 @@ def test_settings_apply_to_every_spec(here, capsys):
 
 
 def test_code_is_compiled_for_specs_and_each_controller_of_studies(here):
-    assert [spec.name for spec in _experiments([here / "s.yaml"], [])] == ["s"]
-    assert len(list(_experiments([here / "study.yaml"], []))) == 1
-    (default,) = _experiments([], ["robots.0.a=9"])
+    assert [spec.name for spec in _load_experiments([here / "s.yaml"], [])] == ["s"]
+    assert len(list(_load_experiments([here / "study.yaml"], []))) == 1
+    (default,) = _load_experiments([], ["robots.0.a=9"])
     assert default.robots[0].a == 9
     with pytest.raises(InvalidSpecError):
-        list(_experiments([here / "s.yaml"], ["robots.0.a=-9"]))
+        list(_load_experiments([here / "s.yaml"], ["robots.0.a=-9"]))
 
 
 def test_equal_code_is_compiled_together(here, capsys, monkeypatch):

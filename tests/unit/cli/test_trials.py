@@ -9,15 +9,15 @@ from testkit.paths import ROOT
 
 from tetractl.cli import trials
 from tetractl.cli.trials import (
-    PORT,
+    DEFAULT_PORT,
     RunOptions,
     _conclude,
-    _limits,
-    _planned,
+    _describe_limits,
+    _list_planned,
     _print_plan,
+    choose_port,
     new_log_folder,
     run_command,
-    wanted_port,
 )
 from tetractl.core.errors import Exit, LogError, UsageError
 from tetractl.core.plan import Outcome
@@ -43,15 +43,16 @@ LAB = on_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
 
 
 @pytest.mark.parametrize(
-    ("serve", "port", "wanted"), [(False, None, None), (True, None, PORT), (True, 9000, 9000)]
+    ("serve", "port", "wanted"),
+    [(False, None, None), (True, None, DEFAULT_PORT), (True, 9000, 9000)],
 )
 def test_trials_are_served_only_with_serve(serve, port, wanted):
-    assert wanted_port(serve, port) == wanted
+    assert choose_port(serve, port) == wanted
 
 
 def test_a_port_needs_serve():
     with pytest.raises(UsageError, match="--port needs --serve"):
-        wanted_port(False, 9000)
+        choose_port(False, 9000)
 
 
 def test_a_new_folder_is_in_logs_and_named_after_the_experiment():
@@ -110,17 +111,17 @@ def test_what_would_run_is_printed_as_a_spec(capsys):
 
 
 def test_the_limits_of_a_trial_follow_from_its_controller_and_its_fastest_robot():
-    limits = _limits(SPEC.experiment)
+    limits = _describe_limits(SPEC.experiment)
     assert limits["control period"] == "0.1 s"
     assert limits["duration of a trial"] == "at most 50 s after the first command"
     assert limits["path of a robot"] == "at most 1500 mm"
-    assert "the trial aborts" in _limits(LAB.experiment)
+    assert "the trial aborts" in _describe_limits(LAB.experiment)
 
 
 def test_one_trial_or_those_that_lack_are_run():
     store = SimpleNamespace(lacking=[2, 3])
-    assert _planned(store, None) == [2, 3]
-    assert _planned(store, 0) == [0]
+    assert _list_planned(store, None) == [2, 3]
+    assert _list_planned(store, 0) == [0]
 
 
 # the end

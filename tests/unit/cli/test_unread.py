@@ -11,13 +11,13 @@ import pytest
 
 from tetractl.cli import unread
 from tetractl.cli.unread import (
-    Messages,
+    MessageStream,
     _watch_readers,
     close_stdout,
-    give_up_unread,
-    hung_up_unread,
-    notice_of_signals,
-    say_at_once,
+    create_signal_notice,
+    discard_unread_output,
+    hang_up_without_reader,
+    write_at_once,
 )
 
 STDOUT = 1
@@ -54,15 +54,15 @@ def fill(descriptor):
 def test_messages_that_nobody_can_read_are_no_error():
     with stderr_pipe() as (reading, writing):
         os.dup2(writing, reading)  # the pipe has no reader any more
-        assert Messages().write(b"message") == 7
-        say_at_once(b"message")
+        assert MessageStream().write(b"message") == 7
+        write_at_once(b"message")
 
 
 def test_what_a_signal_says_never_waits():
     with stderr_pipe() as (reading, writing):
-        say_at_once(b"first")
+        write_at_once(b"first")
         fill(writing)
-        say_at_once(b"lost")
+        write_at_once(b"lost")
         os.set_blocking(reading, False)
         said = os.read(reading, 1_000_000)
     assert said.strip(b".") == b"first"
@@ -71,9 +71,9 @@ def test_what_a_signal_says_never_waits():
 def test_a_signal_frees_a_thread_whose_message_nobody_reads():
     with stderr_pipe() as (_, writing):
         fill(writing)
-        thread = threading.Thread(target=Messages().write, args=(b"." * 100,), daemon=True)
+        thread = threading.Thread(target=MessageStream().write, args=(b"." * 100,), daemon=True)
         thread.start()
-        give_up_unread()
+        discard_unread_output()
         thread.join(60.0)
         assert not thread.is_alive()
 
@@ -98,7 +98,7 @@ def test_a_message_waits_for_its_reader_also_if_its_pipe_does_not_block():
     with stderr_pipe() as (reading, writing):
         fill(writing)
         os.set_blocking(writing, False)
-        thread = threading.Thread(target=Messages().write, args=(b"message",))
+        thread = threading.Thread(target=MessageStream().write, args=(b"message",))
         thread.start()
         said = b""
         while not said.endswith(b"message"):
@@ -108,7 +108,7 @@ def test_a_message_waits_for_its_reader_also_if_its_pipe_does_not_block():
 
 def test_the_first_signal_is_told_once():
     with stderr_pipe() as (reading, _):
-        notice = notice_of_signals(b"stopping\n")
+        notice = create_signal_notice(b"stopping\n")
         notice(1)
         notice(2)
         assert os.read(reading, 100) == b"stopping\n"
@@ -134,7 +134,7 @@ def streams(monkeypatch):
         monkeypatch.setattr(
             unread, "_watch_readers", lambda streams, ended, thread: watched.append(streams)
         )
-        with hung_up_unread(**options):
+        with hang_up_without_reader(**options):
             pass
         monkeypatch.undo()
         return watched.pop() if watched else None
@@ -168,7 +168,7 @@ def test_nothing_is_watched_without_robots_or_unattended(streams):
 def test_an_unattended_run_ignores_a_closed_terminal_only_while_it_runs(fails):
     before = signal.getsignal(signal.SIGHUP)
     try:
-        with suppress(ZeroDivisionError), hung_up_unread(unattended=True):
+        with suppress(ZeroDivisionError), hang_up_without_reader(unattended=True):
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
             if fails:
                 raise ZeroDivisionError

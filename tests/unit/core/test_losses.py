@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.clock import SECOND
-from tetractl.core.losses import DEAD_S, STRIDE_S, Losses, LossRule, Standing, describe_dead
+from tetractl.core.losses import (
+    DEAD_AFTER_S,
+    STRIDE_MIN_S,
+    Losses,
+    LossRule,
+    StandstillDetector,
+    describe_dead,
+)
 from tetractl.core.poses import Observation, Poses
 
 LOOK_NS = SECOND // 10
@@ -122,7 +129,7 @@ def test_losses_are_those_of_a_rule_applied_frame_by_frame(seed, replaced):
 
 def driving(speeds, true_speeds, seconds, valid=None, until_s=None):
     """Frames ten times a second of robots that drive along x at their true speeds [1/s]."""
-    standing = Standing(np.array(speeds, dtype=float))
+    standing = StandstillDetector(np.array(speeds, dtype=float))
     dead = np.zeros(len(speeds), dtype=bool)
     for k in range(round(seconds * 10) + 1):
         time_s = k / 10
@@ -134,7 +141,9 @@ def driving(speeds, true_speeds, seconds, valid=None, until_s=None):
     return dead.tolist()
 
 
-@pytest.mark.parametrize(("seconds", "is_dead"), [(DEAD_S - 0.2, False), (DEAD_S + 0.2, True)])
+@pytest.mark.parametrize(
+    ("seconds", "is_dead"), [(DEAD_AFTER_S - 0.2, False), (DEAD_AFTER_S + 0.2, True)]
+)
 def test_a_robot_that_stands_while_another_drives_for_five_seconds_is_dead(seconds, is_dead):
     assert driving([10, 10], [10, 0], seconds) == [False, is_dead]
     assert driving([10, 10], [0, 10], seconds) == [is_dead, False]
@@ -148,13 +157,13 @@ def test_no_robot_is_dead_while_all_stand_or_all_drive():
 
 def test_the_time_of_driving_is_that_at_each_robots_own_speed():
     """The first robot is fast: it drives as long as it takes at its speed, not as far."""
-    assert driving([100, 10], [100, 0], DEAD_S - 0.2) == [False, False]
-    assert driving([100, 10], [50, 0], 2 * DEAD_S - 0.4) == [False, False]
-    assert driving([100, 10], [50, 0], 2 * DEAD_S + 0.4) == [False, True]
+    assert driving([100, 10], [100, 0], DEAD_AFTER_S - 0.2) == [False, False]
+    assert driving([100, 10], [50, 0], 2 * DEAD_AFTER_S - 0.4) == [False, False]
+    assert driving([100, 10], [50, 0], 2 * DEAD_AFTER_S + 0.4) == [False, True]
 
 
 def test_a_slow_robot_that_moves_is_not_dead():
-    slowly = 10 * STRIDE_S / DEAD_S * 1.5
+    slowly = 10 * STRIDE_MIN_S / DEAD_AFTER_S * 1.5
     assert driving([10, 10], [10, slowly], 20) == [False, False]
 
 
@@ -167,7 +176,7 @@ def test_a_robot_that_is_not_seen_is_not_dead():
 
 
 def test_a_jump_is_no_long_drive():
-    standing = Standing(np.array([10.0, 10.0]))
+    standing = StandstillDetector(np.array([10.0, 10.0]))
     for k in range(12):
         xy = [[1e6 * k, 0], [0, 0]]
         found = standing.add_frame(frame(k * LOOK_NS, [True, True], xy))
@@ -175,7 +184,7 @@ def test_a_jump_is_no_long_drive():
 
 
 def test_frames_between_two_checks_are_skipped():
-    standing = Standing(np.array([10.0]))
+    standing = StandstillDetector(np.array([10.0]))
     standing.add_frame(frame(0, [True]))
     assert standing.due_ns == LOOK_NS
     standing.add_frame(frame(LOOK_NS + 1, [True]))

@@ -90,7 +90,7 @@ class Watched:
         if before is None:
             return ""
         pairs = zip(before, poses, strict=True)
-        self.motions.travelled += [RobotStep.between(then, pose).way for then, pose in pairs]
+        self.motions.travelled += [RobotStep.between(then, pose).motion for then, pose in pairs]
         aborts = self.check.check_frame(now_ns, [now_ns] * len(poses), poses)
         return aborts[0].text if aborts else ""
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tetractl.cli.specs import template
+from tetractl.cli.specs import build_template
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import TEMPLATES
 from tetractl.spec.lab_template import lab_template
@@ -101,7 +101,7 @@ def test_the_part_of_a_package_that_is_not_installed_names_the_package(monkeypat
 
 @pytest.mark.parametrize("robots", ["m3pi-xbee", "twist"])
 def test_what_init_writes_is_a_valid_lab(robots):
-    spec = parse_spec(template("new", "new.yaml", True, "optitrack", robots), "new.yaml")
+    spec = parse_spec(build_template("new", "new.yaml", True, "optitrack", robots), "new.yaml")
     names = [robot.name for robot in spec.experiment.robots]
     assert [robot.name for robot in spec.experiment.lab.camera.robots] == names
     assert spec.experiment.lab.actuator.type == robots

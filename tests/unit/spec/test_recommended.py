@@ -7,7 +7,7 @@ import yaml
 from testkit.paths import ROOT
 from testkit.paths import SPECS as FILES
 
-from tetractl.cli.specs import template
+from tetractl.cli.specs import build_template
 from tetractl.run.model_changes import stated_model
 from tetractl.spec.load import load_spec, parse_spec
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -25,8 +25,8 @@ def shipped_specs():
 
 
 WRITTEN = {
-    "init: robots": template("new", "new.yaml", lab=False),
-    "init: lab": template("new", "new.yaml", lab=True),
+    "init: robots": build_template("new", "new.yaml", lab=False),
+    "init: lab": build_template("new", "new.yaml", lab=True),
 }
 TEXTS = shipped_specs() | WRITTEN
 

@@ -13,7 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.statistics.as_json import comparison_items, data_table
 from tetractl.statistics.describe import contrast
 from tetractl.statistics.open_batch import Damaged
-from tetractl.tools.table.table_files import csv_text, json_text
+from tetractl.tools.table.table_files import format_csv, format_json
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 
@@ -23,7 +23,7 @@ SPEC = experiment(reference=REFERENCE, plant=DISTURBED)
 def as_json(described):
     """The items of one batch as a script reads them."""
     items = comparison_items(contrast([described]))
-    return json.loads(json_text(items))
+    return json.loads(format_json(items))
 
 
 def test_json_holds_every_key_scripts_rely_on():
@@ -91,7 +91,7 @@ def test_json_stays_json_where_nothing_is_known():
 
 def as_csv(described):
     """The rows of one batch as a script reads them."""
-    text = csv_text(data_table(contrast([described])))
+    text = format_csv(data_table(contrast([described])))
     return list(csv.DictReader(io.StringIO(text)))
 
 

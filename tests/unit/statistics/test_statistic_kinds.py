@@ -13,8 +13,8 @@ from tetractl.statistics.as_json import comparison_items, data_table
 from tetractl.statistics.describe import contrast
 from tetractl.statistics.statistic import number
 from tetractl.statistics.tables import tables
-from tetractl.tools.table.table_files import csv_text
-from tetractl.tools.table.terminal_table import TEXTS, print_tables
+from tetractl.tools.table.table_files import format_csv
+from tetractl.tools.table.terminal_table import TEXT_FORMATS, print_tables
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()  # of three robots [mm]
 MEAN_OF_WORST = np.max(ERRORS, axis=1).mean()
@@ -36,9 +36,9 @@ def comparison():
 ROW = rf"error of the worst robot, mean\W(.*\W)?{MEAN_OF_WORST:.1f} \(95"
 
 
-@pytest.mark.parametrize("text_format", TEXTS)
+@pytest.mark.parametrize("text_format", TEXT_FORMATS)
 def test_it_is_in_every_text(comparison, text_format):
-    write = TEXTS[text_format]
+    write = TEXT_FORMATS[text_format]
     assert re.search(ROW, write(tables(comparison)))
 
 
@@ -50,7 +50,7 @@ def test_it_is_in_json(comparison):
 
 
 def test_it_is_in_csv(comparison):
-    text = csv_text(data_table(comparison))
+    text = format_csv(data_table(comparison))
     rows = list(csv.DictReader(io.StringIO(text)))
     assert [float(row["worst_error"]) for row in rows] == [max(errors) for errors in ERRORS]
 

@@ -24,7 +24,12 @@ from tetractl.statistics.tables import (
     tables,
     trials_listed,
 )
-from tetractl.tools.table.terminal_table import WIDTH, latex, markdown, print_tables
+from tetractl.tools.table.terminal_table import (
+    DEFAULT_WIDTH,
+    format_latex,
+    format_markdown,
+    print_tables,
+)
 
 TRIALS = 20
 ERRORS = np.random.default_rng(4).gamma(4, 50, (TRIALS, 3)).tolist()  # of three robots [mm]
@@ -53,7 +58,7 @@ def printed(*groups, layout=tables, **console):
 
 def in_latex(*groups, layout=tables):
     shown_tables = layout(contrast(groups))
-    return latex(shown_tables)
+    return format_latex(shown_tables)
 
 
 def labelled(lines):
@@ -151,7 +156,7 @@ def test_trials_left_out_are_listed_with_their_reason():
 
 def test_markdown_has_as_many_cells_in_every_row():
     ours = described()
-    text = markdown(tables(contrast([ours, ours])))
+    text = format_markdown(tables(contrast([ours, ours])))
     bodies = text.split("**")[2::2]  # of tables, below their titles
     assert bodies
     for body in bodies:
@@ -219,7 +224,7 @@ def test_more_groups_than_fit_abreast_have_tables_of_their_own():
     headers = [table.header for table in tables(contrast(groups)) if table.title == "Trials"]
     assert headers == [["figure", "g0", "g1", "g2"], ["figure", "g3"]]
     lines = printed(*groups).splitlines()
-    assert max(len(line) for line in lines) <= WIDTH
+    assert max(len(line) for line in lines) <= DEFAULT_WIDTH
 
 
 @pytest.mark.parametrize("layout", [summary, tables])

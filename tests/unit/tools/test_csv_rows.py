@@ -8,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.errors import UsageError
-from tetractl.tools.table.csv_rows import columns_of, csv_entries, has_decimal_comma, read_csv
+from tetractl.tools.table.csv_rows import (
+    has_decimal_comma,
+    read_column_names,
+    read_csv,
+    split_entries,
+)
 
 NAMES = ("time_s", "x_mm", "robot")
 ROWS = [("0.0", "1.5", "green"), ("0.2", "-2.25", "blue"), ("0.4", "", "red")]
@@ -30,14 +35,17 @@ def test_a_table_is_read_as_it_was_written(tmp_path, separator, end, encoding):
     path = tmp_path / "t.csv"
     with path.open("w", encoding=encoding, newline="") as file:
         csv.writer(file, delimiter=separator, lineterminator=end).writerows([NAMES, *ROWS])
-    assert columns_of(path) == NAMES
+    assert read_column_names(path) == NAMES
     assert table(path) == ROWS
     assert [row.line for row in read_csv(path)] == [2, 3, 4]
 
 
 def test_latin_1_and_characters_that_look_the_same_are_read(tmp_path):
-    assert columns_of(written(tmp_path / "t.csv", "Länge,x\n1,2\n", "cp1252")) == ("Länge", "x")
-    assert columns_of(written(tmp_path / "t.csv", "\uff58,y\n1,2\n")) == ("x", "y")
+    assert read_column_names(written(tmp_path / "t.csv", "Länge,x\n1,2\n", "cp1252")) == (
+        "Länge",
+        "x",
+    )
+    assert read_column_names(written(tmp_path / "t.csv", "\uff58,y\n1,2\n")) == ("x", "y")
 
 
 @pytest.mark.parametrize("lines", ["", "made by a camera\n", "made by a camera\nwith 3 robots\n"])
@@ -45,20 +53,20 @@ def test_the_header_that_numpy_writes_is_the_comment_just_above_the_numbers(tmp_
     path = tmp_path / "t.csv"
     values = np.array([[0.0, 1.5], [0.2, -2.25]])
     np.savetxt(path, values, delimiter=",", header=f"{lines}time_s,x_mm")
-    assert columns_of(path) == ("time_s", "x_mm")
+    assert read_column_names(path) == ("time_s", "x_mm")
     assert np.array(table(path), dtype=float).tolist() == values.tolist()
 
 
 @pytest.mark.parametrize("above", ["# a\n# b,c\n", "\n\n", "# a\n\n", "sep=,\n", "Tracks\n", ""])
 def test_what_stands_above_names_is_no_header(tmp_path, above):
     path = written(tmp_path / "t.csv", f"{above}time_s,x_mm\n0,1\n1,2\n")
-    assert columns_of(path) == ("time_s", "x_mm")
+    assert read_column_names(path) == ("time_s", "x_mm")
     assert table(path) == [("0", "1"), ("1", "2")]
 
 
 def test_a_separator_that_is_stated_is_used_for_every_line(tmp_path):
     path = written(tmp_path / "t.csv", "sep=;\na,b;c\n1,5;2\n")
-    assert columns_of(path) == ("a,b", "c")
+    assert read_column_names(path) == ("a,b", "c")
     assert table(path) == [("1.5", "2")]
 
 
@@ -71,8 +79,8 @@ def test_blanks_separate_if_nothing_else_does(tmp_path):
 def test_a_decimal_comma_is_read_unless_commas_separate(number):
     text = f"{number:f}".replace(".", ",")
     assert has_decimal_comma(text)
-    assert csv_entries(f"{text};a", ";") == [f"{number:f}", "a"]
-    assert len(csv_entries(f"{text},a", ",")) == 3
+    assert split_entries(f"{text};a", ";") == [f"{number:f}", "a"]
+    assert len(split_entries(f"{text},a", ",")) == 3
 
 
 @pytest.mark.parametrize(

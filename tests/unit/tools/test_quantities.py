@@ -11,13 +11,13 @@ from tetractl.tools.table.quantities import (
     METRES,
     SECONDS,
     NumberColumn,
-    earlier,
-    factor,
+    create_order_error,
     find_column,
+    find_factor,
     find_time,
-    name_and_unit,
+    read_truth,
     refuse_degrees,
-    truth,
+    split_header,
 )
 
 RANDOM = np.random.default_rng(3).uniform(-np.pi, np.pi, 200)
@@ -73,7 +73,7 @@ def test_directions_in_degrees_are_refused(name):
 )
 def test_a_unit_may_be_spelled_in_parts(header, unit):
     """Regression: "column w [°/s] is in °_s"."""
-    assert name_and_unit(header) == ("w", unit)
+    assert split_header(header) == ("w", unit)
 
 
 ROW = CsvRow(7, {"x_mm": "1.5", "bad": "x", "none": "", "valid": "no", "big": "2e9"})
@@ -147,9 +147,9 @@ def test_a_column_in_another_unit_is_refused_with_the_units_that_are_known(heade
     ("unit", "metres"), [("mm", 1e-3), (" MM ", 1e-3), ("micron", 1e-6), ("meter", 1.0)]
 )
 def test_a_unit_in_any_spelling_has_its_factor(unit, metres):
-    assert factor(unit, METRES) == metres
-    assert factor("furlong", METRES) is None
-    assert factor("seconds", METRES) is None
+    assert find_factor(unit, METRES) == metres
+    assert find_factor("furlong", METRES) is None
+    assert find_factor("seconds", METRES) is None
 
 
 @pytest.mark.parametrize(
@@ -158,17 +158,17 @@ def test_a_unit_in_any_spelling_has_its_factor(unit, metres):
      ("0", False), ("No", False)],
 )  # fmt: skip
 def test_truth_is_written_in_several_ways(text, value):
-    assert truth(FILE, CsvRow(1, {"valid": text}), "valid") is value
+    assert read_truth(FILE, CsvRow(1, {"valid": text}), "valid") is value
 
 
 def test_a_table_without_the_column_is_true_and_another_word_is_refused():
-    assert truth(FILE, CsvRow(1, {}), "valid") is True
+    assert read_truth(FILE, CsvRow(1, {}), "valid") is True
     with pytest.raises(UsageError, match=r"line 4: valid: maybe is neither true nor false"):
-        truth(FILE, CsvRow(4, {"valid": "maybe"}), "valid")
+        read_truth(FILE, CsvRow(4, {"valid": "maybe"}), "valid")
 
 
 def test_times_that_fall_are_told_what_to_do():
-    error = earlier(FILE, ROW, "; or number them")
+    error = create_order_error(FILE, ROW, "; or number them")
     assert error.message == "t.csv, line 7: the time is earlier than in the line before"
     assert error.hint == "sort the rows by time; or number them"
 

@@ -14,15 +14,27 @@ from testkit.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.tools.table.csv_rows import read_csv
-from tetractl.tools.table.table import Column, Table, fixed
-from tetractl.tools.table.table_files import csv_entry, csv_text, flat, json_text, table_files
-from tetractl.tools.table.terminal_table import TEXTS, WIDTH, html, open_console, print_tables
+from tetractl.tools.table.table import Column, Table, create_decimal_format
+from tetractl.tools.table.table_files import (
+    flatten,
+    format_csv,
+    format_csv_entry,
+    format_json,
+    open_table_files,
+)
+from tetractl.tools.table.terminal_table import (
+    DEFAULT_WIDTH,
+    TEXT_FORMATS,
+    format_html,
+    open_console,
+    print_tables,
+)
 
 TABLE = Table(
     "Speeds",
     (
         Column("robot", ["green", "=1+1"]),
-        Column("speed", np.array([180.25, math.nan]), "mm/s", fixed(1)),
+        Column("speed", np.array([180.25, math.nan]), "mm/s", create_decimal_format(1)),
         Column("moved", [True, None]),
         Column("note", ["a | b", "<b>"], words=True),
     ),
@@ -39,18 +51,18 @@ def printed(*tables, **console):
 
 def csv_rows(table):
     """The rows of a table's CSV text as another program reads them, the names of columns first."""
-    return list(csv.reader(io.StringIO(csv_text(table))))
+    return list(csv.reader(io.StringIO(format_csv(table))))
 
 
 def test_a_reader_sees_formats_units_and_what_is_not_known():
     assert TABLE.header == ["robot", "speed [mm/s]", "moved", "note"]
     assert list(TABLE.rows) == [("green", "180.2", "True", "a | b"), ("=1+1", "-", "-", "<b>")]
-    written = [write([TABLE]) for write in TEXTS.values()]
+    written = [write([TABLE]) for write in TEXT_FORMATS.values()]
     for text in (printed(TABLE), *written):
         assert "180.2" in text
         assert "mm/s" in text or r"mm/\allowbreak{}s" in text
         assert "measured" in text
-    assert r"| a \| b |" in TEXTS["markdown"]([TABLE])
+    assert r"| a \| b |" in TEXT_FORMATS["markdown"]([TABLE])
 
 
 def test_a_data_file_has_the_values_and_the_unit_in_the_name():
@@ -69,7 +81,7 @@ def test_numbers_have_all_their_digits_and_unknown_ones_no_cell():
     words = ["a", 'say "no", twice', "=1", "null", "Infinity", "NaN", "x],[y", "ü", None, 1.5]
     places = list(range(10))
     columns = (Column("n", numbers), Column("i", places), Column("w", words))
-    _, *lines = csv_text(Table("", columns)).splitlines()
+    _, *lines = format_csv(Table("", columns)).splitlines()
     assert [line.split(",", 2) for line in lines] == [
         ["0.1", "0", "a"],
         ["0.00001", "1", '"say ""no"", twice"'],
@@ -88,7 +100,7 @@ def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
     import pandas  # slow to import
 
     path = tmp_path / "speeds.csv"
-    with table_files({"speeds": path}) as add:
+    with open_table_files({"speeds": path}) as add:
         add("speeds", TABLE, "a.mcap")
         add("speeds", TABLE, "b.mcap")
         assert not path.exists()
@@ -100,7 +112,7 @@ def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
 def test_other_columns_are_refused_and_leave_no_file(tmp_path, folder):
     path = tmp_path / folder / "speeds.csv"
     reason = r"b\.mcap: the columns of the table speeds differ from those of earlier logs: other"
-    with pytest.raises(UsageError, match=reason), table_files({"speeds": path}) as add:
+    with pytest.raises(UsageError, match=reason), open_table_files({"speeds": path}) as add:
         add("speeds", TABLE, "a.mcap")
         add("speeds", TABLE.with_first(other=1), "b.mcap")
     assert list(tmp_path.iterdir()) == []
@@ -128,7 +140,7 @@ def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
     names = ("mean", "std", "median", "longest")
     columns = (
         Column("robot", ["green", "blue"]),
-        *(Column(name, [1234.5678, 2.0], "mm", fixed(4)) for name in names),
+        *(Column(name, [1234.5678, 2.0], "mm", create_decimal_format(4)) for name in names),
     )
     narrow = {"force_terminal": True, "width": 40, "color_system": None}
     lines = printed(Table("Errors", columns), **narrow).splitlines()
@@ -139,17 +151,17 @@ def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
 
 
 def test_html_escapes_and_links_cells_of_the_first_column():
-    text = html([TABLE], {"green": "#trial-1"})
+    text = format_html([TABLE], {"green": "#trial-1"})
     assert '<a href="#trial-1">green</a>' in text
     assert "&lt;b&gt;" in text and "<b>" not in text
-    trials = html(
+    trials = format_html(
         [Table("", (Column("pair", ["a - b"]), Column("trials", ["20 and 20"], words=True)))]
     )
     assert '<td class="short">20 and 20</td>' in trials
 
 
 def test_json_is_plain_and_strict():
-    text = json_text({"a": np.array([1.0, math.inf]), "b": (np.int64(2), math.nan)})
+    text = format_json({"a": np.array([1.0, math.inf]), "b": (np.int64(2), math.nan)})
     assert json.loads(text) == {"a": [1.0, None], "b": [2, None]}
 
 
@@ -170,13 +182,13 @@ def test_no_other_module_writes_tables():
     ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx", " =1", "\n+1", "\xa0-1", "＝1", " ＋1", "﹫x"],
 )
 def test_a_spreadsheet_computes_nothing(text):
-    assert csv_entry(text).startswith("'")
-    assert csv_entry("arrived") == "arrived"
+    assert format_csv_entry(text).startswith("'")
+    assert format_csv_entry("arrived") == "arrived"
 
 
 def test_a_table_without_rows_is_its_columns():
     columns = (Column("n", []), Column("w", []))
-    assert csv_text(Table("", columns)) == "n,w\n"
+    assert format_csv(Table("", columns)) == "n,w\n"
 
 
 def test_a_row_whose_only_entry_is_unknown_is_still_a_row():
@@ -190,12 +202,12 @@ LONG = "words " * 60
 def test_without_a_terminal_words_are_wrapped():
     wide = Table.of_texts("Logs", ("log", "note"), [("a", LONG), ("b", LONG)])
     lines = printed(wide).splitlines()
-    assert WIDTH - 20 < max(map(len, lines)) <= WIDTH
+    assert DEFAULT_WIDTH - 20 < max(map(len, lines)) <= DEFAULT_WIDTH
 
 
 def test_without_a_terminal_names_are_not_broken():
     path = "folder/" * 40
-    assert len(path) > WIDTH
+    assert len(path) > DEFAULT_WIDTH
     text = printed(Table.of_texts("", ("log",), [(path,)]))
     assert path in text
 
@@ -213,7 +225,7 @@ def test_records_that_lack_a_key_have_no_value_there():
 def test_nested_items_become_one_row():
     nested = {"a": {"value": 1, "ci95": [0, 2]}, "b": {"ci95": None}, "c": ["x", "y"]}
     expected = {"a_value": 1, "a_low": 0, "a_high": 2, "b_low": None, "b_high": None, "c": "x; y"}
-    assert flat(nested) == expected
+    assert flatten(nested) == expected
 
 
 @pytest.mark.parametrize("forced", ["FORCE_COLOR", "TTY_COMPATIBLE"])

@@ -11,27 +11,30 @@ from tetractl.tools.table import terminal_table as module
 from tetractl.tools.table.table import (
     Column,
     Table,
-    as_text,
-    digits,
-    fixed,
-    lengths,
-    listing,
-    p_value,
-    plural,
+    create_decimal_format,
+    create_length_format,
+    format_digits,
+    format_p_value,
+    format_value,
+    join_listed,
+    pluralize,
 )
 from tetractl.tools.table.terminal_table import (
-    SHORT,
-    WIDTH,
-    html,
-    latex,
-    markdown,
+    DEFAULT_WIDTH,
+    SHORT_ENTRY_MAX,
+    format_html,
+    format_latex,
+    format_markdown,
     open_console,
     print_tables,
 )
 
 NUMBERS = Table(
     "Errors",
-    (Column("robot", ["green", "blue"]), Column("mean", [1.25, -2.0], "mm", fixed(1))),
+    (
+        Column("robot", ["green", "blue"]),
+        Column("mean", [1.25, -2.0], "mm", create_decimal_format(1)),
+    ),
     "n = 3\nmeasured",
 )
 WORDS = Table(
@@ -94,7 +97,7 @@ def test_two_columns_are_always_shown():
 
 def test_without_a_terminal_nothing_is_left_out():
     lines = printed(wide(40))
-    assert max(map(len, lines)) > WIDTH
+    assert max(map(len, lines)) > DEFAULT_WIDTH
     assert not [line for line in lines if "too narrow" in line]
 
 
@@ -104,7 +107,7 @@ def test_markdown_aligns_numbers_to_the_right_and_escapes_bars():
         (Column("robot", ["x|y"]), Column("n", [3]), Column("w", ["\\"], words=True)),
         "note | 1\nnote 2",
     )
-    assert markdown([table]).splitlines() == [
+    assert format_markdown([table]).splitlines() == [
         r"**a \| b**",
         "",
         "| robot | n | w |",
@@ -117,14 +120,14 @@ def test_markdown_aligns_numbers_to_the_right_and_escapes_bars():
 
 
 def test_latex_of_numbers_fits_the_line_and_of_words_wraps():
-    numbers = latex([NUMBERS]).splitlines()
+    numbers = format_latex([NUMBERS]).splitlines()
     assert numbers[0] == r"% needs \usepackage{booktabs,graphicx,tabularx}"
     assert numbers[1] == "% Errors n = 3 measured"
     assert r"\begin{tabular}{lr}" in numbers
     assert r"robot & mean {[}mm] \\" in numbers or r"robot & mean [mm] \\" in numbers
     assert r"blue & $-$2.0 \\" in numbers
     assert any("Errors; n = 3; measured." in line for line in numbers)
-    words = latex([WORDS])
+    words = format_latex([WORDS])
     assert r"\begin{tabularx}{\linewidth}" in words
     assert r"\begin{tabular}{" not in words
 
@@ -149,29 +152,31 @@ def test_latex_of_numbers_fits_the_line_and_of_words_wraps():
     ],
 )
 def test_an_entry_of_latex_is_escaped(text, written):
-    rows = latex([Table("", (Column("x", [text]),))]).splitlines()
+    rows = format_latex([Table("", (Column("x", [text]),))]).splitlines()
     assert rf"{written} \\" in rows
 
 
 def test_html_has_a_caption_and_a_note_only_if_there_are_any():
-    text = html([NUMBERS])
+    text = format_html([NUMBERS])
     assert "<caption>Errors</caption>" in text
     assert '<p class="note">n = 3<br>measured</p>' in text
-    bare = html([Table("", (Column("x", ["1"]),))])
+    bare = format_html([Table("", (Column("x", ["1"]),))])
     assert "<caption>" not in bare
     assert "note" not in bare
-    assert 'class="words"' in html([WORDS])
+    assert 'class="words"' in format_html([WORDS])
     assert 'class="words"' not in text
 
 
-@pytest.mark.parametrize(("length", "is_short"), [(SHORT, True), (SHORT + 1, False)])
+@pytest.mark.parametrize(
+    ("length", "is_short"), [(SHORT_ENTRY_MAX, True), (SHORT_ENTRY_MAX + 1, False)]
+)
 def test_a_short_entry_of_html_is_not_broken(length, is_short):
     table = Table("", (Column("x", ["a"]), Column("y", ["b" * length])))
-    assert ('<td class="short">' in html([table])) == is_short
+    assert ('<td class="short">' in format_html([table])) == is_short
 
 
 def test_only_entries_with_an_address_are_links():
-    text = html([NUMBERS], {"green": "a&b", "1.2": "x"})
+    text = format_html([NUMBERS], {"green": "a&b", "1.2": "x"})
     assert '<a href="a&amp;b">green</a>' in text
     assert text.count("<a ") == 1
 
@@ -198,7 +203,7 @@ def test_only_entries_with_an_address_are_links():
     ],
 )
 def test_lengths_have_three_digits_of_their_scale(scale, value, text):
-    assert lengths(scale)(value) == text
+    assert create_length_format(scale)(value) == text
 
 
 @pytest.mark.parametrize(
@@ -209,7 +214,7 @@ def test_lengths_have_three_digits_of_their_scale(scale, value, text):
     ],
 )  # fmt: skip
 def test_digits_are_three(value, text):
-    assert digits(value) == text
+    assert format_digits(value) == text
 
 
 @pytest.mark.parametrize(
@@ -217,18 +222,18 @@ def test_digits_are_three(value, text):
     [(0.04567, "0.046"), (0.001, "0.001"), (0.00099, "< 0.001"), (1.0, "1"), (math.nan, "-")],
 )
 def test_a_p_value_has_two_digits_or_a_limit(p, text):
-    assert p_value(p) == text
+    assert format_p_value(p) == text
 
 
 def test_words_follow_their_counts():
-    assert [plural("log", count) for count in (0, 1, 2)] == ["logs", "log", "logs"]
+    assert [pluralize("log", count) for count in (0, 1, 2)] == ["logs", "log", "logs"]
 
 
 @pytest.mark.parametrize(
     ("count", "text"), [(0, ""), (1, "0"), (4, "0, 1, 2, 3"), (5, "0, 1, 2, 3 and 1 more")]
 )
 def test_a_listing_names_four_and_counts_the_rest(count, text):
-    assert listing([str(i) for i in range(count)]) == text
+    assert join_listed([str(i) for i in range(count)]) == text
 
 
 @pytest.mark.parametrize("stderr", [False, True])
@@ -254,7 +259,7 @@ def test_a_quiet_console_writes_nothing(capsys):
 
 
 def test_unknown_values_are_dashes():
-    assert [as_text(value) for value in (None, math.nan, 0, "", False)] == [
+    assert [format_value(value) for value in (None, math.nan, 0, "", False)] == [
         "-", "-", "0", "", "False",
     ]  # fmt: skip
 

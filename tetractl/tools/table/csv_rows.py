@@ -24,7 +24,7 @@ CSV_BYTES = 1 << 28  # largest file that is read [bytes]
 CSV_ROWS = 2_000_000  # most rows that are read
 CSV_LINE = 1 << 16
 """Maximum length of a line of a CSV file [characters]."""
-CHUNK = 1 << 20
+CHUNK_BYTES = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
 TITLES_MAX = 10
 """Maximum number of lines of titles above a header."""
@@ -32,7 +32,7 @@ UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 SEPARATORS = (",", ";", "\t", "|")  # between the entries of a line
 ARCHIVES = {b"\x1f\x8b": "gzip", b"PK": "zip, or a spreadsheet", b"(\xb5": "zstd", b"BZ": "bzip2"}
 """The formats of compressed files, by their first bytes."""
-BLANKS = " "
+BLANK_SEPARATOR = " "
 """The separator of entries between which there are only blanks."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?|[+-]?\d+,")
 DECIMAL_COMMA = "a decimal comma needs semicolons or tabs between entries"
@@ -55,7 +55,7 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
         UsageError: If the file is not CSV, has no header, or is larger than the limits above.
     """
     try:
-        yield from _rows(path, csv_lines(path))
+        yield from _parse_rows(path, csv_lines(path))
     except csv.Error as error:
         raise UsageError(
             f"{path}: this is not a CSV file: {error}", "save the file as UTF-8"
@@ -69,47 +69,49 @@ def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
         UsageError: In the same cases as `read_csv`.
     """
     if not path.is_file():
-        said = "is not a regular file" if path.exists() else "no such file"
-        raise UsageError(f"{path}: {said}")
+        problem = "is not a regular file" if path.exists() else "no such file"
+        raise UsageError(f"{path}: {problem}")
     if path.stat().st_size > CSV_BYTES:
-        raise _too_large(path)
+        raise _create_size_error(path)
     _refuse_archive(path)
     try:
-        with path.open(newline="", encoding=_encoding(path)) as stream:
-            yield from _lines(path, stream)
+        with path.open(newline="", encoding=_detect_encoding(path)) as stream:
+            yield from _read_lines(path, stream)
     except UnicodeError as error:
         raise UsageError(
             f"{path}: this is not a CSV file: {error}", "save the file as UTF-8"
         ) from None
 
 
-def columns_of(path: Path) -> tuple[str, ...]:
+def read_column_names(path: Path) -> tuple[str, ...]:
     """Return the column names of a CSV file. Empty if the file has no row below the header.
 
     Raises:
         UsageError: In the same cases as `read_csv`.
     """
-    first = next(read_csv(path), None)
-    return () if first is None else tuple(first.cells)
+    first_row = next(read_csv(path), None)
+    return () if first_row is None else tuple(first_row.cells)
 
 
-def _too_large(path: Path) -> UsageError:
-    most = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
-    return UsageError(f"{path}: the file has more than {most}", "split the file into several files")
+def _create_size_error(path: Path) -> UsageError:
+    limits = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
+    return UsageError(
+        f"{path}: the file has more than {limits}", "split the file into several files"
+    )
 
 
 def _refuse_archive(path: Path) -> None:
     """Raise UsageError if a file is compressed, as its first two bytes show."""
     with path.open("rb") as file:
-        form = ARCHIVES.get(file.read(2))
-    if form is not None:
+        archive_format = ARCHIVES.get(file.read(2))
+    if archive_format is not None:
         raise UsageError(
-            f"{path}: the file is compressed ({form}), so it is not a CSV file",
+            f"{path}: the file is compressed ({archive_format}), so it is not a CSV file",
             "unpack the file, or export it as CSV",
         )
 
 
-def _encoding(path: Path) -> str:
+def _detect_encoding(path: Path) -> str:
     """Return the name of a file's encoding: "utf-16" if its first bytes say so, or "utf-8-sig".
 
     If the file is not valid UTF-8, the result is "cp1252".
@@ -120,7 +122,7 @@ def _encoding(path: Path) -> str:
             return "utf-16"
         file.seek(0)
         try:
-            while chunk := file.read(CHUNK):
+            while chunk := file.read(CHUNK_BYTES):
                 decoder.decode(chunk)
             decoder.decode(b"", final=True)
         except UnicodeDecodeError:
@@ -128,7 +130,7 @@ def _encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
+def _read_lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
     """Yield the non-empty lines of a file, with their numbers, which start at 1.
 
     Raises:
@@ -136,7 +138,7 @@ def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
     """
     for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), ""), 1):
         if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
-            raise _too_large(path)
+            raise _create_size_error(path)
         if "\0" in line:
             raise UsageError(
                 f"{path}, line {number}: this is not a CSV file, because it has a null character"
@@ -145,7 +147,7 @@ def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
             yield number, unicodedata.normalize("NFKC", line)
 
 
-def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
+def _parse_rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
     """Yield the rows below the header.
 
     The header may be a comment if numbers follow, as NumPy writes it.
@@ -166,13 +168,13 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
     top, below = _below_titles(top, lines)
     text = top[1].rstrip().lstrip(" ")  # a tab before it ends a name that is empty
     separator = stated or _separator(text, below[0][1] if below else "")
-    header = csv_entries(text, separator)
+    header = split_entries(text, separator)
     if comments and any(map(is_number, header)):
         below.insert(0, top)
-        header = csv_entries(comments[-1], separator)
+        header = split_entries(comments[-1], separator)
     _check_header(path, header)
     for number, line in chain(below, lines):
-        entries = csv_entries(line, separator)
+        entries = split_entries(line, separator)
         if entries == header:
             raise UsageError(
                 f"{path}, line {number}: the header occurs a second time",
@@ -206,7 +208,7 @@ def _below_titles(
 def _most_entries(line: str) -> list[str]:
     """Split a line by the separator that gives the most entries, the first one if several do."""
     text = line.rstrip().lstrip(" ")
-    return max((csv_entries(text, separator) for separator in SEPARATORS), key=len)
+    return max((split_entries(text, separator) for separator in SEPARATORS), key=len)
 
 
 def _separator(header: str, row: str) -> str:
@@ -215,21 +217,21 @@ def _separator(header: str, row: str) -> str:
     If no separator splits the header into two entries, but blanks split the header and the row
     below into equally many, the separator is blanks.
     """
-    best = max(SEPARATORS, key=lambda separator: len(csv_entries(header, separator)))
+    best = max(SEPARATORS, key=lambda separator: len(split_entries(header, separator)))
     words = len(header.split())
-    entries = len(csv_entries(header, best))
+    entries = len(split_entries(header, best))
     if entries == 1 and 1 < words == len(row.split()):
-        return BLANKS
+        return BLANK_SEPARATOR
     return best
 
 
-def csv_entries(line: str, separator: str) -> list[str]:
+def split_entries(line: str, separator: str) -> list[str]:
     """Split a line into its entries, without blanks around them.
 
     If the separator is neither a comma nor blanks, a decimal comma becomes a point. A quoted entry
     with line breaks ends at the end of the line.
     """
-    if separator == BLANKS:
+    if separator == BLANK_SEPARATOR:
         return line.split()
     # line by line, since a quoted entry with line breaks may have any length
     entries = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])

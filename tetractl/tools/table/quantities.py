@@ -64,18 +64,26 @@ SPELLINGS = {
 _UNITS = {unit: unit for unit in (*SECONDS, *RADIANS, *RADIANS_S, *METRES, *METRES_S)}
 _UNITS |= SPELLINGS
 _BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
-_UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+_UNKNOWN_ENTRIES = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
 NOT_MEASURED = "if nothing was measured, leave the entry empty"
-PLAIN = "write numbers like 1234.5, without units, colons or thousands separators"
+PLAIN_NUMBERS = "write numbers like 1234.5, without units, colons or thousands separators"
 """Hint for an entry that begins with a digit but is not a number.
 
 `NOT_MEASURED` is for words.
 """
-_TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
+_TRUTH_VALUES = {
+    "true": True,
+    "1": True,
+    "yes": True,
+    "": True,
+    "false": False,
+    "0": False,
+    "no": False,
+}
 NUMBER_MAX = 1e9
 """Maximum absolute value of a number that is not a time. Of times, only differences matter."""
-WRAPS_DEG = 300.0
+WRAP_MIN_DEG = 300.0
 """Minimum fall of a direction that has gone from 360 to 0 degrees [deg].
 
 Its maximum is a whole turn.
@@ -104,12 +112,12 @@ class NumberColumn:
         Raises:
             UsageError: If it is missing, no number, or too large.
         """
-        value = self.optional(path, row)
-        if math.isnan(value):
+        number = self.optional(path, row)
+        if math.isnan(number):
             raise UsageError(
                 f"{path}, line {row.line}: {printable(self.key)}: this is not a number"
             )
-        return value
+        return number
 
     def optional(self, path: Path, row: CsvRow) -> float:
         """Return the number in a row, in the wanted unit. NaN if it is missing or marked unknown.
@@ -117,43 +125,43 @@ class NumberColumn:
         Raises:
             UsageError: If it is no number, or too large.
         """
-        text = row.cells[self.key]
-        if text.lower() in _UNKNOWN:
+        entry = row.cells[self.key]
+        if entry.lower() in _UNKNOWN_ENTRIES:
             return math.nan
         try:
-            value = float(text)
+            number = float(entry)
         except ValueError:
-            value = math.inf
-        if not abs(value) <= self.largest:
-            wrong = f"{text[:60]!r} is not a number of at most {self.largest:g}"
-            hint = PLAIN if text[:1].isdigit() else NOT_MEASURED
-            if has_decimal_comma(text):
+            number = math.inf
+        if not abs(number) <= self.largest:
+            problem = f"{entry[:60]!r} is not a number of at most {self.largest:g}"
+            hint = PLAIN_NUMBERS if entry[:1].isdigit() else NOT_MEASURED
+            if has_decimal_comma(entry):
                 hint = DECIMAL_COMMA
-            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {wrong}", hint)
-        return value * self.factor
+            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {problem}", hint)
+        return number * self.factor
 
 
-def name_and_unit(header: str) -> tuple[str, str]:
+def split_header(header: str) -> tuple[str, str]:
     """Split the header of a column into its name in lower case and its unit.
 
     The unit is "" if there is none.
     """
-    words = header.strip().lower()
-    text = re.sub(r"[ _/]+", "_", words).replace("_per_", "_")
-    match = _BRACKETS.fullmatch(text)
+    lower_header = header.strip().lower()
+    normalised = re.sub(r"[ _/]+", "_", lower_header).replace("_per_", "_")
+    match = _BRACKETS.fullmatch(normalised)
     if match:
-        parts = match[2].split("_")
-        return match[1], "_".join(_UNITS.get(part, part) for part in parts)
+        unit_parts = match[2].split("_")
+        return match[1], "_".join(_UNITS.get(unit_part, unit_part) for unit_part in unit_parts)
     for unit in sorted(_UNITS, key=len, reverse=True):
-        if text.endswith(f"_{unit}"):
-            return text.removesuffix(f"_{unit}"), _UNITS[unit]
-    return text, ""
+        if normalised.endswith(f"_{unit}"):
+            return normalised.removesuffix(f"_{unit}"), _UNITS[unit]
+    return normalised, ""
 
 
-def factor(unit: str, units: Mapping[str, float]) -> float | None:
+def find_factor(unit: str, units: Mapping[str, float]) -> float | None:
     """Return the factor of a unit, in any spelling. None if `units` does not contain the unit."""
-    text = unit.strip().lower()
-    return units.get(SPELLINGS.get(text, text))
+    normalised = unit.strip().lower()
+    return units.get(SPELLINGS.get(normalised, normalised))
 
 
 def find_column(
@@ -173,16 +181,16 @@ def find_column(
     Raises:
         UsageError: If all columns with such a name have other units, or none.
     """
-    quantities = {header: name_and_unit(header) for header in headers}
+    quantities = {header: split_header(header) for header in headers}
     matching = {header: unit for header, (name, unit) in quantities.items() if name in names}
     for header, unit in matching.items():
         if unit in units:
-            largest = TIME_MAX if units is SECONDS else NUMBER_MAX
-            return NumberColumn(header, units[unit], largest)
+            number_max = TIME_MAX if units is SECONDS else NUMBER_MAX
+            return NumberColumn(header, units[unit], number_max)
     for header, unit in matching.items():
-        said = f"is in {printable(unit)}" if unit else "states no unit"
+        problem = f"is in {printable(unit)}" if unit else "states no unit"
         named = " or ".join(f"{quantities[header][0]}_{accepted}" for accepted in list(units)[:2])
-        raise UsageError(f"{path}: column {printable(header)} {said}", f"name it {named}")
+        raise UsageError(f"{path}: column {printable(header)} {problem}", f"name it {named}")
     return None
 
 
@@ -211,41 +219,42 @@ def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angle
     Raises:
         UsageError: If they are probably in degrees.
     """
-    beyond = np.flatnonzero(np.abs(angles) > 2 * math.pi)
-    if column.factor != 1 or not len(beyond):
+    beyond_turn = np.flatnonzero(np.abs(angles) > 2 * math.pi)
+    if column.factor != 1 or not len(beyond_turn):
         return
     steps = np.abs(np.diff(angles))
     steps = steps[steps > 0]
     jumps = steps[steps > 2 * math.pi]
-    may_wrap = len(jumps) > 0 and jumps.min() > WRAPS_DEG and jumps.max() <= 360
+    may_wrap = len(jumps) > 0 and jumps.min() > WRAP_MIN_DEG and jumps.max() <= 360
     if len(steps) and np.median(steps) <= 2 * math.pi and not may_wrap:
         return
-    first = int(beyond[0])
-    problem = turn_problem(float(angles[first]))
+    first_beyond = int(beyond_turn[0])
+    problem = turn_problem(float(angles[first_beyond]))
     assert problem is not None
-    said, hint = problem
-    name = name_and_unit(column.key)[0]
-    where = f"{path}, line {lines[first]}: {printable(column.key)}"
+    message, hint = problem
+    quantity = split_header(column.key)[0]
+    position = f"{path}, line {lines[first_beyond]}: {printable(column.key)}"
     raise UsageError(
-        f"{where}: {angles[first]:g} {said}", f"{hint}, or rename the column to {name}_deg"
+        f"{position}: {angles[first_beyond]:g} {message}",
+        f"{hint}, or rename the column to {quantity}_deg",
     )
 
 
-def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
+def create_order_error(path: Path, row: CsvRow, further_hint: str = "") -> UsageError:
     """Create the error for a row whose time is earlier than in the rows before.
 
     Args:
         path: The table.
         row: The row.
-        other: What else may help, besides sorting the rows. Empty if nothing.
+        further_hint: What else may help, besides sorting the rows. Empty if nothing.
     """
     return UsageError(
         f"{path}, line {row.line}: the time is earlier than in the line before",
-        f"sort the rows by time{other}",
+        f"sort the rows by time{further_hint}",
     )
 
 
-def truth(path: Path, row: CsvRow, key: str) -> bool:
+def read_truth(path: Path, row: CsvRow, column: str) -> bool:
     """Read a truth value in a column.
 
     True if the table has no such column, or the entry is empty.
@@ -253,14 +262,14 @@ def truth(path: Path, row: CsvRow, key: str) -> bool:
     Args:
         path: The table.
         row: The row.
-        key: The column.
+        column: The column.
 
     Raises:
         UsageError: If the entry is neither true nor false.
     """
-    text = row.cells.get(key, "")
+    entry = row.cells.get(column, "")
     try:
-        return _TRUTH[text.lower()]
+        return _TRUTH_VALUES[entry.lower()]
     except KeyError:
-        said = f"{printable(text[:60])} is neither true nor false"
-        raise UsageError(f"{path}, line {row.line}: {printable(key)}: {said}") from None
+        problem = f"{printable(entry[:60])} is neither true nor false"
+        raise UsageError(f"{path}, line {row.line}: {printable(column)}: {problem}") from None

@@ -5,22 +5,24 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self, runtime_checkable
 
-NONE = "-"
+UNKNOWN_TEXT = "-"
 """The text for an unknown value."""
-LISTED = 4
+LISTED_TEXTS_MAX = 4
 """Maximum number of texts in one line."""
 
 
-def fixed(decimals: int) -> Callable[[float], str]:
+def create_decimal_format(decimals: int) -> Callable[[float], str]:
     """Create a format of numbers with a fixed number of decimals. Unknown numbers become "-"."""
 
     def show(value: float | None) -> str:
-        return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+        return (
+            UNKNOWN_TEXT if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+        )
 
     return show
 
 
-def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
+def create_length_format(scale: float, finest: int = 9) -> Callable[[float], str]:
     """Create a format with three significant digits for lengths of about `scale`.
 
     The format has at least one decimal below 1000, and at most `finest` decimals.
@@ -28,42 +30,42 @@ def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
     scale = abs(scale)
     size = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
     least = 1 if size < 3 else 0
-    return fixed(min(max(2 - size, least), finest))
+    return create_decimal_format(min(max(2 - size, least), finest))
 
 
-def digits(value: float) -> str:
+def format_digits(value: float) -> str:
     """Format a number with three significant digits, and at most nine decimals.
 
     A number that is not positive has no decimals. The text is "-" if the number is not finite.
     """
     if value <= 0 or not math.isfinite(value):
-        return fixed(0)(value)
+        return create_decimal_format(0)(value)
     decimals = 2 - math.floor(math.log10(value))
-    return fixed(min(max(decimals, 0), 9))(value)
+    return create_decimal_format(min(max(decimals, 0), 9))(value)
 
 
-def plural(noun: str, count: int) -> str:
+def pluralize(noun: str, count: int) -> str:
     """Return a noun in the form that follows a count: with an "s", unless the count is 1."""
     return noun if count == 1 else f"{noun}s"
 
 
-def listing(texts: Sequence[str], between: str = ", ") -> str:
+def join_listed(entries: Sequence[str], separator: str = ", ") -> str:
     """Join at most LISTED texts into one line, followed by the number of the remaining ones."""
-    joined = between.join(texts[:LISTED])
-    more = len(texts) - LISTED
-    return f"{joined} and {more} more" if more > 0 else joined
+    listed = separator.join(entries[:LISTED_TEXTS_MAX])
+    unlisted = len(entries) - LISTED_TEXTS_MAX
+    return f"{listed} and {unlisted} more" if unlisted > 0 else listed
 
 
-def p_value(p: float) -> str:
+def format_p_value(probability: float) -> str:
     """Format a p-value with two digits, or as "< 0.001" if it is smaller than that. "-" for NaN."""
-    if not math.isfinite(p):
-        return NONE
-    return f"{p:.2g}" if p >= 0.001 else "< 0.001"
+    if not math.isfinite(probability):
+        return UNKNOWN_TEXT
+    return f"{probability:.2g}" if probability >= 0.001 else "< 0.001"
 
 
-def as_text(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return a value as text. None and NaN become "-"."""
-    return NONE if value is None or value != value else str(value)
+    return UNKNOWN_TEXT if value is None or value != value else str(value)
 
 
 @runtime_checkable
@@ -90,7 +92,7 @@ class Column:
     name: str
     values: Any  # a sequence or an array
     unit: str = ""
-    format: Callable[[Any], str] = as_text
+    format: Callable[[Any], str] = format_value
     words: bool = False
 
     @property
@@ -138,11 +140,12 @@ class Table:
             header: Names of the columns.
             rows: The entries.
         """
-        values = list(zip(*rows, strict=True)) or [()] * len(header)
+        by_column = list(zip(*rows, strict=True)) or [()] * len(header)
         columns = [
-            Column(name, entries, words=True) for name, entries in zip(header, values, strict=True)
+            Column(name, entries, words=True)
+            for name, entries in zip(header, by_column, strict=True)
         ]
-        filled = [column for column in columns[1:] if set(column.texts) - {"", NONE}]
+        filled = [column for column in columns[1:] if set(column.texts) - {"", UNKNOWN_TEXT}]
         return cls(title, (columns[0], *filled))
 
     @classmethod
@@ -179,8 +182,8 @@ class Table:
 
     def with_first(self, **constants: Any) -> "Table":
         """Return a copy of the table with more columns in front, each with a constant value."""
-        first = (Column(name, [value] * len(self)) for name, value in constants.items())
-        return Table(self.title, (*first, *self.columns), self.note)
+        constant_columns = (Column(name, [value] * len(self)) for name, value in constants.items())
+        return Table(self.title, (*constant_columns, *self.columns), self.note)
 
     def as_dict(self) -> dict[str, Any]:
         """Return {column key: values}, from which a data frame can be made."""

@@ -21,7 +21,7 @@ from typing import Any, TextIO
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.tools.table.table import Array, Table
 
-PART = ".part"
+PART_ENDING = ".part"
 """Ending of a file that is not complete yet."""
 COLUMNS_NAMED = 4
 """Maximum number of columns that are named in an error."""
@@ -29,26 +29,26 @@ AddRows = Callable[[str, Table, str], None]
 """Function that adds rows to the file of a name; the text is their source, for messages."""
 
 
-def csv_text(table: Table) -> str:
+def format_csv(table: Table) -> str:
     """Format a table as text in the CSV format, without its title and its note."""
-    text = io.StringIO()
-    _write_header(table, text)
-    _write_rows(table, text)
-    return text.getvalue()
+    stream = io.StringIO()
+    _write_header(table, stream)
+    _write_rows(table, stream)
+    return stream.getvalue()
 
 
 def _write_header(table: Table, stream: TextIO) -> None:
     csv.writer(stream, lineterminator="\n").writerow(
-        csv_entry(column.key) for column in table.columns
+        format_csv_entry(column.key) for column in table.columns
     )
 
 
 def _write_rows(table: Table, stream: TextIO) -> None:
-    columns = [_cells(column.listed) for column in table.columns]
+    columns = [_format_cells(column.listed) for column in table.columns]
     csv.writer(stream, lineterminator="\n").writerows(zip(*columns, strict=True))
 
 
-def _cells(values: Sequence[Any]) -> list[str]:
+def _format_cells(values: Sequence[Any]) -> list[str]:
     """Format the values of a column as entries of a CSV file. None and NaN become empty entries."""
     from pydantic_core import to_json  # slow to import, and not needed by most commands
 
@@ -63,26 +63,30 @@ def _cells(values: Sequence[Any]) -> list[str]:
                 return str(value)
             return to_json(value).decode()
         if isinstance(value, str):
-            return csv_entry(value)
+            return format_csv_entry(value)
         return str(value)
 
     return [cell(value) for value in values]
 
 
 @lru_cache  # columns repeat their words
-def csv_entry(text: str) -> str:
+def format_csv_entry(text: str) -> str:
     """Format text as an entry of a CSV file, safely for spreadsheets.
 
     A spreadsheet evaluates text as a formula if it begins with =, +, - or @, even after white space
     or as full-width signs. An apostrophe in front prevents that.
     """
-    safe = printable(text)
-    first = unicodedata.normalize("NFKC", text).lstrip()[:1]
-    return f"'{safe}" if text[:1] in ("\t", "\r") or first in ("=", "+", "-", "@") else safe
+    printable_text = printable(text)
+    first_character = unicodedata.normalize("NFKC", text).lstrip()[:1]
+    return (
+        f"'{printable_text}"
+        if text[:1] in ("\t", "\r") or first_character in ("=", "+", "-", "@")
+        else printable_text
+    )
 
 
 @contextmanager
-def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
+def open_table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
     """Write the CSV files of several tables, and yield the function that adds rows to them.
 
     That function raises UsageError if the columns differ from those of earlier rows. Each file is
@@ -91,8 +95,8 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
     """
     files = {name: _GrowingFile(name, path) for name, path in paths.items()}
     folders = {folder for path in paths.values() for folder in path.parents}
-    missing = [folder for folder in folders if not folder.exists()]
-    missing.sort(key=lambda folder: len(folder.parts), reverse=True)  # the innermost first
+    missing_folders = [folder for folder in folders if not folder.exists()]
+    missing_folders.sort(key=lambda folder: len(folder.parts), reverse=True)  # the innermost first
 
     def add(name: str, table: Table, source: str) -> None:
         files[name].add(table, source)
@@ -100,14 +104,14 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
     try:
         with ExitStack() as stack:
             for file in files.values():
-                stack.enter_context(file.opened())
+                stack.enter_context(file.open())
             yield add
         for file in files.values():
             file.complete()
     finally:
         for file in files.values():
             file.discard()
-        for folder in missing:
+        for folder in missing_folders:
             with suppress(OSError):  # it holds the complete files, or was not made
                 folder.rmdir()
 
@@ -115,30 +119,30 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
 class _GrowingFile:
     """The CSV file of one table, to which rows are added while it is open.
 
-    Call `opened`, then `add` for the rows, then `complete`. Until then, the file is called
+    Call `open`, then `add` for the rows, then `complete`. Until then, the file is called
     NAME.part, which `discard` deletes. If the file cannot be written, LogError is raised.
     """
 
     def __init__(self, name: str, path: Path) -> None:
         self._name = name
         self._path = path
-        self._part = path.with_name(path.name + PART)
+        self._part_path = path.with_name(path.name + PART_ENDING)
         self._keys: list[str] | None = None  # of the columns; None before the first rows
         self._stream: TextIO | None = None
 
     @contextmanager
-    def opened(self) -> Iterator[None]:
+    def open(self) -> Iterator[None]:
         """Create the file under a temporary name, and close it at the end of the `with` block.
 
         Its folder is created if it is missing.
         """
-        with self._writing():
-            self._part.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = self._part.open("w", encoding="utf-8", newline="")
+        with self._convert_errors():
+            self._part_path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._part_path.open("w", encoding="utf-8", newline="")
         try:
             yield
         finally:
-            with self._writing():
+            with self._convert_errors():
                 self._stream.close()
 
     def add(self, table: Table, source: str) -> None:
@@ -149,49 +153,51 @@ class _GrowingFile:
             LogError: If the file cannot be written.
         """
         assert self._stream is not None, "rows are added to an open file"
-        keys = [column.key for column in table.columns]
-        with self._writing():
+        column_keys = [column.key for column in table.columns]
+        with self._convert_errors():
             if self._keys is None:
-                self._keys = keys
+                self._keys = column_keys
                 _write_header(table, self._stream)
-            if keys != self._keys:
-                odd = sorted(set(keys) ^ set(self._keys))
+            if column_keys != self._keys:
+                differing_keys = sorted(set(column_keys) ^ set(self._keys))
                 raise UsageError(
                     f"{source}: the columns of the table {self._name} differ from those of "
-                    f"earlier logs: {', '.join(odd[:COLUMNS_NAMED])}",
+                    f"earlier logs: {', '.join(differing_keys[:COLUMNS_NAMED])}",
                     "export the logs of each experiment separately",
                 )
             _write_rows(table, self._stream)
 
     def complete(self) -> None:
         """Give the finished file its final name, in place of an existing file."""
-        with self._writing():
-            self._part.replace(self._path)
+        with self._convert_errors():
+            self._part_path.replace(self._path)
 
     def discard(self) -> None:
         """Delete the file if it was not completed."""
-        with self._writing():
-            self._part.unlink(missing_ok=True)
+        with self._convert_errors():
+            self._part_path.unlink(missing_ok=True)
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
+    def _convert_errors(self) -> Iterator[None]:
         """Raise LogError if an error occurs while the file is written, such as a full disk."""
         try:
             yield
         except OSError as error:
-            where = error.filename or self._part
-            raise LogError(f"{where}: the table cannot be written: {error.strerror}") from error
+            path = error.filename or self._part_path
+            raise LogError(f"{path}: the table cannot be written: {error.strerror}") from error
 
 
-def json_text(value: Any, indent: int | None = 2) -> str:
+def format_json(value: Any, indent: int | None = 2) -> str:
     """Convert plain data, dataclasses and arrays to JSON. Non-finite numbers become null.
 
     `indent` is the number of blanks per level. With None, the text is one line of ASCII.
     """
-    return json.dumps(plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False)
+    return json.dumps(
+        convert_to_plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False
+    )
 
 
-def plain(value: Any) -> Any:
+def convert_to_plain(value: Any) -> Any:
     """Convert data to what JSON can express: dictionaries, lists, texts and finite numbers.
 
     Other numbers become None.
@@ -201,31 +207,31 @@ def plain(value: Any) -> Any:
     if isinstance(value, Array):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): convert_to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [convert_to_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
-def flat(items: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Flatten nested items: the key of an inner item follows its outer key and "_".
 
     A `ci95` pair becomes `low` and `high`, which are None if there is no interval. Lists become
     text.
     """
     row: dict[str, Any] = {}
-    for key, value in items.items():
-        name = f"{prefix}{key}"
+    for key, value in nested.items():
+        flat_key = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            row |= flat(value, f"{name}_")
+            row |= flatten(value, f"{flat_key}_")
         elif key == "ci95":
             low, high = value or (None, None)
             row[f"{prefix}low"] = low
             row[f"{prefix}high"] = high
         elif isinstance(value, list | tuple):
-            row[name] = "; ".join(map(str, value))
+            row[flat_key] = "; ".join(map(str, value))
         else:
-            row[name] = value
+            row[flat_key] = value
     return row

@@ -12,7 +12,7 @@ from tetractl.core.errors import UsageError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.tools.table.table import lengths, plural
+from tetractl.tools.table.table import create_length_format, pluralize
 from tetractl.view import style
 from tetractl.view.figures.curves import (
     NAME_IN,
@@ -81,7 +81,7 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
         _draw_errors(of_total, of_robots, of_arm, time_s)
         signs |= {str(sign.get_label()): sign for sign in _draw_signs(of_total, of_arm)}
         start = f"{name}: " if name else ""
-        trials = f"{len(of_arm)} {plural('trial', len(of_arm))}"
+        trials = f"{len(of_arm)} {pluralize('trial', len(of_arm))}"
         total = f"total error of {trials}, the sum over the robots"
         robots = "distance of each robot to its target, median of the trials"
         of_total.set_title(f"({next(letters)}) {start}{total}", loc="left")
@@ -105,7 +105,7 @@ def _of_trial(log: TrialLog) -> Figure:
     ends = setup.distances(final_poses(log)[:, :2])
     # only the names show the last values, which are the result's
     gaps = np.vstack([gaps, ends])
-    show = lengths(float(ends.sum()))
+    show = create_length_format(float(ends.sum()))
     figure, [[of_total, of_robots]] = _panels([setup], 1.9, 1.6, end_s(log))
     name = f"{show(ends.sum())} {unit}"
     total = [Curve(gaps.sum(axis=1), style.WHOLE, name, "total", width=1.4)]

@@ -30,7 +30,7 @@ from tetractl.core.errors import unit_of
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.tools.table.table import lengths
+from tetractl.tools.table.table import create_length_format
 from tetractl.verification.dish_pictures import DishPictures
 from tetractl.view import style
 from tetractl.view.figures.trials import (
@@ -387,7 +387,7 @@ def _heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
     folders = {log.log.rpartition("/")[0] for log in logs}
     if len(logs) == 1:
         total = float(errors.sum())
-        show = lengths(total)
+        show = create_length_format(total)
         title = f"error at the end [{unit}], total {show(total)}"
         entries = _with_errors(names, [show(error) for error in errors[0]])
     elif len(folders) > 1:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tetractl.lab.preflight import Preflight
-from tetractl.tools.table.table import NONE, Column, Table, plural
+from tetractl.tools.table.table import UNKNOWN_TEXT, Column, Table, pluralize
 from tetractl.tools.table.terminal_table import open_console, print_tables
 
 ANSWERS = {True: "yes", False: "no", None: "n/a"}
@@ -33,9 +33,14 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
             _or("not tracked", "{:.0f}"),
         ),
         Column(
-            "off its heading", [robot.off_heading for robot in robots], "rad", _or(NONE, "{:+.2f}")
+            "off its heading",
+            [robot.off_heading for robot in robots],
+            "rad",
+            _or(UNKNOWN_TEXT, "{:+.2f}"),
         ),
-        Column("battery", [robot.status.battery for robot in robots], format=_or(NONE, "{}")),
+        Column(
+            "battery", [robot.status.battery for robot in robots], format=_or(UNKNOWN_TEXT, "{}")
+        ),
         Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
     )
     print_tables([Table("Robots", columns)], console)
@@ -64,7 +69,7 @@ def _verdict(preflight: Preflight) -> str:
     number = len(preflight.all_warnings)
     if number == 0:
         return "ready"
-    return f"ready, with {number} {plural('warning', number)}"
+    return f"ready, with {number} {pluralize('warning', number)}"
 
 
 def preflight_items(preflight: Preflight) -> dict[str, Any]:

@@ -23,7 +23,7 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
 from tetractl.spec.yaml.spec_files import read_text
-from tetractl.tools.table.table import plural
+from tetractl.tools.table.table import pluralize
 
 ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}
 """Directions [rad] by key."""
@@ -206,7 +206,7 @@ def task(setup: Setup, disturbed: bool) -> str:
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
     dots = "about where that leads" if disturbed else "where that leads"
-    round_what = f", round the yellow {plural('obstacle', len(setup.obstacles))}"
+    round_what = f", round the yellow {pluralize('obstacle', len(setup.obstacles))}"
     return (
         "Press an arrow: all robots turn to it while they drive, each at its own "
         f"rate{rates}. Dots: {dots}. Bring each robot to the square of its "

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from tetractl.core.clock import Clock
 from tetractl.core.plan import State
-from tetractl.tools.table.table import lengths
+from tetractl.tools.table.table import create_length_format
 from tetractl.view.plan_words import doing, search_end
 from tetractl.view.player import Playback, Player, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
@@ -198,7 +198,7 @@ def result_line(recording: Recording) -> str:
     result = recording.log.result
     assert result is not None, "the caller has checked this"
     unit = recording.log.start.setup.unit
-    error = lengths(result.total_error)(result.total_error)
+    error = create_length_format(result.total_error)(result.total_error)
     time_s = recording.log.elapsed_s(recording.end_ns)
     return f"{time_s:6.2f} s  {result.outcome.value}, final total error {error} {unit} {end.known}"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.tools.table.table import plural
+from tetractl.tools.table.table import pluralize
 from tetractl_emulator.rehearsal.truth import Truth, Violation, time_s
 
 DayRow = Mapping[str, Any]
@@ -81,7 +81,7 @@ def reasons(rows: Sequence[DayRow]) -> str:
     Reasons that differ only in their numbers are counted together.
     """
     why = Counter(re.sub(r"\d+(\.\d+)?", "…", row["reason"]) for row in rows if row["reason"])
-    return "\n".join(f"{n} {plural('day', n)}: {reason}" for reason, n in why.most_common(10))
+    return "\n".join(f"{n} {pluralize('day', n)}: {reason}" for reason, n in why.most_common(10))
 
 
 def summary(rows: Sequence[DayRow]) -> str:

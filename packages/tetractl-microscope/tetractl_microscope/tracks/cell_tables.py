@@ -14,7 +14,7 @@ from tetractl.statistics.estimate import (
     known_distribution,
     t_quantile,
 )
-from tetractl.tools.table.table import NONE, Column, Table, fixed
+from tetractl.tools.table.table import UNKNOWN_TEXT, Column, Table, create_decimal_format
 
 Record = Mapping[str, Any]
 
@@ -75,7 +75,7 @@ def cell_tables(record: Record) -> list[Table]:
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:
         texts = [_text(cell.get(quantity.key), quantity.decimals) for cell in cells]
-        if quantity.heading and not {NONE}.issuperset(texts):
+        if quantity.heading and not {UNKNOWN_TEXT}.issuperset(texts):
             columns.append(Column(quantity.heading, texts, quantity.unit))
     note = "\n".join(record["notes"])
     means = _means(cells)
@@ -90,9 +90,9 @@ def _text(entry: Any, decimals: int) -> str:
     if isinstance(entry, bool):
         return "yes" if entry else "no"
     if isinstance(entry, Mapping):
-        low, high = (fixed(decimals)(end) for end in entry["ci95"])
-        return f"{fixed(decimals)(entry['value'])} [{low}, {high}]"
-    return fixed(decimals)(entry)
+        low, high = (create_decimal_format(decimals)(end) for end in entry["ci95"])
+        return f"{create_decimal_format(decimals)(entry['value'])} [{low}, {high}]"
+    return create_decimal_format(decimals)(entry)
 
 
 def value_of(entry: Any) -> float | None:
@@ -160,7 +160,7 @@ def _means(cells: list[Record]) -> list[Table]:
         known_cells, values = known_values(cells, quantity.key)
         if quantity.averaged and quantity.heading and values:
             mean = cell_mean(known_cells, values)
-            show = fixed(quantity.decimals)
+            show = create_decimal_format(quantity.decimals)
             name = quantity.heading
             if quantity.unit:
                 name += f" [{quantity.unit}]"

@@ -8,11 +8,11 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.tools.table.csv_rows import columns_of, read_csv
+from tetractl.tools.table.csv_rows import read_column_names, read_csv
 from tetractl.tools.table.quantities import (
     RADIANS,
     NumberColumn,
-    earlier,
+    create_order_error,
     find_column,
     find_time,
     refuse_degrees,
@@ -100,7 +100,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     Raises:
         UsageError: If a column is missing or a value is invalid.
     """
-    headers = columns_of(path)
+    headers = read_column_names(path)
     time = find_time(path, headers)
     angle = find_column(path, headers, ("direction",), RADIANS)
     if time is None or angle is None:
@@ -113,7 +113,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     for row in read_csv(path):
         times.append(time.number(path, row))
         if len(times) > 1 and times[-1] < times[-2]:
-            raise earlier(path, row)
+            raise create_order_error(path, row)
         strength = 1.0 if strong is None else strong.optional(path, row)
         strength = 1.0 if math.isnan(strength) else strength
         if abs(strength) > STRONGEST:

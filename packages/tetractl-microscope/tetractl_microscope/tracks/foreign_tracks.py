@@ -22,8 +22,8 @@ from tetractl.tools.table.quantities import (
     TIME_MAX,
     TIME_NAMES,
     NumberColumn,
-    factor,
-    name_and_unit,
+    find_factor,
+    split_header,
 )
 
 COLUMNS_SHOWN = 8
@@ -49,12 +49,12 @@ def _is_count(unit: str) -> bool:
 
 def _is_time(unit: str) -> bool:
     """Check whether a unit is a unit of time."""
-    return factor(unit, SECONDS) is not None
+    return find_factor(unit, SECONDS) is not None
 
 
 def _is_place(unit: str) -> bool:
     """Check whether a unit is a unit of length that can be converted to um, or pixels."""
-    return unit in PIXELS or factor(unit, MICROMETRES) is not None
+    return unit in PIXELS or find_factor(unit, MICROMETRES) is not None
 
 
 COLUMNS = {
@@ -191,7 +191,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     columns = {what: NumberColumn(headers[what]) for what in units}
     columns["track"] = NumberColumn(headers["track"], largest=TRACK_MAX)
     if "time" in units:
-        second = factor(units["time"], SECONDS) or 1.0
+        second = find_factor(units["time"], SECONDS) or 1.0
         columns["time"] = NumberColumn(headers["time"], second, TIME_MAX)
     numbers = list[float]()
     for row in chain([first] if first else [], rows):
@@ -215,8 +215,8 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         time = AxisStep()
         if "time" in values and rate_hz is not None:
             _note_other_times(path, values["time"], when / rate_hz, rate_hz, remarks)
-    um_across = factor(units["x"], MICROMETRES)
-    um_up = factor(units["y"], MICROMETRES)
+    um_across = find_factor(units["x"], MICROMETRES)
+    um_up = find_factor(units["y"], MICROMETRES)
     spots = np.column_stack([values["track"], when, values["x"], values["y"]])
     spots = spots[np.isfinite(spots).all(axis=1)]
     if not len(spots):
@@ -234,7 +234,7 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 
     The unit is "" if the header contains none.
     """
-    name, unit = name_and_unit(header)
+    name, unit = split_header(header)
     for pixels in PIXELS[1:]:
         if not unit and name.endswith(f"_{pixels}"):
             return name.removesuffix(f"_{pixels}"), pixels
@@ -489,8 +489,8 @@ def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
 
     The length is None if no unit is known.
     """
-    scaled = factor(axis.scaled_unit or "", units)
+    scaled = find_factor(axis.scaled_unit or "", units)
     if scaled is not None and axis.scale:
         return AxisStep(axis.scale * scaled)
-    size = factor(axis.unit or "", units)
+    size = find_factor(axis.unit or "", units)
     return AxisStep(size, size is None)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.tools.table.table_files import plain
+from tetractl.tools.table.table_files import convert_to_plain
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
@@ -225,7 +225,7 @@ def track_record(
             "cells without a speed and an a, because they turn by themselves in a way"
             f" that no helix explains: {names}"
         )
-    return plain(
+    return convert_to_plain(
         {
             "tracks": source.name,
             "rate_hz": 1 / cells.period_s,

@@ -6,7 +6,7 @@ import types
 import pytest
 from testkit.running import PATIENCE_S
 
-from tetractl.cli.specs import template
+from tetractl.cli.specs import build_template
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
@@ -53,7 +53,7 @@ class OneRobot(PortCamera):
 
 
 SECTION = types.SimpleNamespace(address="there", latency=0.02)
-SETUP = parse_spec(template("check", "check"), "check").experiment.setup.only([0])
+SETUP = parse_spec(build_template("check", "check"), "check").experiment.setup.only([0])
 
 
 def camera(port, make=OneRobot):

@@ -159,9 +159,9 @@ def test_only_streams_that_have_readers_are_watched(streams, stdout, stderr, wat
 
 
 def test_nothing_is_watched_without_robots_or_unattended(streams):
-    assert streams("pipe", "pipe", robots=False) is None
-    assert streams("pipe", "pipe", robots=True, unattended=True) is None
-    assert streams("pipe", "pipe", robots=True) == [STDOUT, STDERR]
+    assert streams("pipe", "pipe", moves_robots=False) is None
+    assert streams("pipe", "pipe", moves_robots=True, unattended=True) is None
+    assert streams("pipe", "pipe", moves_robots=True) == [STDOUT, STDERR]
 
 
 @pytest.mark.parametrize("fails", [False, True])

@@ -32,8 +32,8 @@ from tetractl.tools.table.quantities import (
     create_order_error,
     find_column,
     find_time,
-    split_header,
     read_truth,
+    split_header,
 )
 from tetractl_identify.measured_poses import measured
 from tetractl_identify.motive import table_rows

@@ -297,11 +297,11 @@ def _xbee(port: str, baud: int) -> "XbeeSection":
     from pydantic import ValidationError
 
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
-    from tetractl.spec.explain_errors import words
+    from tetractl.spec.explain_errors import explain_in_words
 
     try:
         return XbeeSection.model_validate({"port": port, "baud": baud})
     except ValidationError as error:
         problem = error.errors()[0]
-        message = words(problem, problem["input"])
+        message = explain_in_words(problem, problem["input"])
         raise UsageError(f"--{problem['loc'][0]}: {message}") from None

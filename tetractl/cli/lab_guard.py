@@ -76,7 +76,7 @@ def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
     """
     from pydantic import ValidationError
 
-    from tetractl.spec.explain_errors import words
+    from tetractl.spec.explain_errors import explain_in_words
     from tetractl.spec.lab_section import LabLimits
     from tetractl.spec.yaml.document import parse_value
     from tetractl.verification.guard_replay import limits_of
@@ -92,7 +92,7 @@ def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
     except ValidationError as error:
         problem = error.errors()[0]
         path = ".".join(["lab", "limits", *(str(step) for step in problem["loc"])])
-        message = words(problem, problem["input"])
+        message = explain_in_words(problem, problem["input"])
         raise UsageError(f"--set {path}: {message}") from None
 
 

@@ -15,9 +15,9 @@ shows which way is forward. The x axis of the rigid body, turned by the spec's h
 point less than a right angle away from the robot's front. Beyond 60 degrees, the calibration fails.
 
 The motions are made in this order: each motor channel alone, forwards and backwards, with growing
-outputs (`_channel`); then both channels straight ahead, away and back (`measure`). If frames are
-missing after a motion, the motion is repeated. If the robot moves too far from its first position,
-it is stopped, and AbortError is raised.
+outputs (`_fit_channel`); then both channels straight ahead, away and back (`measure`). If frames
+are missing after a motion, the motion is repeated. If the robot moves too far from its first
+position, it is stopped, and AbortError is raised.
 """
 
 import math
@@ -62,11 +62,11 @@ FIRST_OUTPUT = 6
 """Minimum output with which a channel is driven, in 127ths of full speed."""
 OUTPUT_STEP = 4
 """Step between two outputs of a channel, in 127ths of full speed."""
-SLOWEST_RAD_S = 0.25
+TURNING_MIN_RAD_S = 0.25
 """Turning rate below which a measurement is ignored, as noise or a wheel that sticks [rad/s]."""
 POINTS_MIN = 3
 """Minimum number of measured turning rates for the fit of a channel."""
-STRAIGHT_SHARE = 0.6
+STRAIGHT_FRACTION = 0.6
 """Turning rate of each wheel while the robot drives straight, as a fraction of the maximum.
 
 The maximum is the one of the slower wheel.
@@ -128,14 +128,14 @@ def calibrate_robots(
     """Measure robots one after another with small motions; see `ActuatorSection.calibrate`."""
     offsets = []
     wheels = []
-    lines = []
+    summaries = []
     emulated: tuple[str, ...] = ()
     for name in names:
         report(f"{name}: measuring")
         offset_before = lab.camera.heading_offset(name)
         limits = lab.limits.model_copy(update={"wheel_error": UNKNOWN_WHEEL_ERROR})
         rig = make_rig(limits, setup.only([setup.names.index(name)]))
-        bench = _Bench(section, rig, offset_before or 0.0, limit)
+        bench = _CalibrationBench(section, rig, offset_before or 0.0, limit)
         try:
             bench.open()
             for question in rig.actuator.check().questions:
@@ -147,12 +147,12 @@ def calibrate_robots(
         if offset_before is not None:
             offsets.append({"name": name, "heading_offset": measured.heading_offset})
         wheels.append({"name": name, **section.measured(measured)})
-        lines.append(f"{name}: {measured}")
+        summaries.append(f"{name}: {measured}")
     camera = {"robots": offsets} if offsets else {}
-    return Measured(camera, {"robots": wheels}, tuple(lines), emulated)
+    return Measured(camera, {"robots": wheels}, tuple(summaries), emulated)
 
 
-class _Bench:
+class _CalibrationBench:
     """The set-up for the calibration of one robot: camera, actuator, and a guard.
 
     The guard checks camera frames as it does in a run.
@@ -222,9 +222,9 @@ class _Bench:
             AbortError: If the guard stops the robot, frames are missing, or the values are
                 impossible.
         """
-        channels = [self._channel(0), self._channel(1)]
-        greatest = [channel.k * (self.limit - channel.dead_zone) for channel in channels]
-        outputs = [channel.output(STRAIGHT_SHARE * min(greatest)) for channel in channels]
+        channels = [self._fit_channel(0), self._fit_channel(1)]
+        rates_max = [channel.k * (self.limit - channel.dead_zone) for channel in channels]
+        outputs = [channel.output(STRAIGHT_FRACTION * min(rates_max)) for channel in channels]
         # signs of the outputs for which the two turning rates cancel
         signs = np.array([1, -channels[0].sign * channels[1].sign])
         straight = signs * np.array(outputs)
@@ -233,9 +233,9 @@ class _Bench:
         if forwards.along < 0:
             signs = -signs
             forwards, backwards = backwards, forwards
-        self._stand()
-        radius = self._radius(forwards, channels, outputs)
-        offset = self._offset(forwards, backwards)
+        self._stop_and_wait()
+        radius = self._compute_radius(forwards, channels, outputs)
+        offset = self._compute_offset(forwards, backwards)
         wheels = [
             FoundWheel(round(2 * radius * channel.k, 4), channel.dead_zone, sign < 0)
             for channel, sign in zip(channels, signs.tolist(), strict=True)
@@ -252,7 +252,7 @@ class _Bench:
             swap=swapped,
         )
 
-    def _radius(
+    def _compute_radius(
         self, straight: DrivenPath, channels: Sequence[Channel], outputs: Sequence[int]
     ) -> float:
         """Compute the distance r from a wheel to the centre [mm], from v = r (|w1| + |w2|).
@@ -265,15 +265,15 @@ class _Bench:
             for channel, output in zip(channels, outputs, strict=True)
         ]
         radius_mm = speed_mm_s / sum(rates)
-        least_mm, most_mm = RADII_MM
-        if not least_mm < radius_mm < most_mm:
+        radius_min_mm, radius_max_mm = RADII_MM
+        if not radius_min_mm < radius_mm < radius_max_mm:
             raise AbortError(
                 f"{self.name}: the measured distance from a wheel to the robot's centre, "
                 f"{radius_mm:.0f} mm, is impossible; do the wheels roll freely?"
             )
         return radius_mm
 
-    def _offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
+    def _compute_offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
         """Compute the direction of travel in the body's frame [rad].
 
         A drift that is the same in both motions cancels. Raises AbortError beyond OFFSET_MAX_RAD.
@@ -288,7 +288,7 @@ class _Bench:
             )
         return offset
 
-    def _channel(self, number: int) -> Channel:
+    def _fit_channel(self, number: int) -> Channel:
         """Drive motor channel 0 or 1 in both directions, and fit its factor k and its dead zone.
 
         The outputs grow from motion to motion.
@@ -297,31 +297,31 @@ class _Bench:
         rates = list[float]()  # means of both directions
         for step in range(FIRST_OUTPUT, int(self.limit / self._scale) + 1, OUTPUT_STEP):
             output = round(step * self._scale)
-            rate = self._rate(number, output)
-            if abs(rate) > SLOWEST_RAD_S:
+            rate = self._measure_rate(number, output)
+            if abs(rate) > TURNING_MIN_RAD_S:
                 outputs.append(output)
                 rates.append(rate)
-        self._stand()
+        self._stop_and_wait()
         if len(rates) < POINTS_MIN:
             raise AbortError(
                 f"{self.name}: motor channel {number + 1} hardly turns the robot, even with "
                 f"an output of {self.limit}",
                 "is the battery charged, and is the motor connected? If so, raise --limit",
             )
-        slope, start = np.polyfit(outputs, np.abs(rates), 1)
+        slope, intercept = np.polyfit(outputs, np.abs(rates), 1)
         to_both_sides = min(rates) < 0 < max(rates)
         if slope <= 0 or to_both_sides:
             raise AbortError(
                 f"{self.name}: motor channel {number + 1} does not turn the robot steadily; "
                 "charge the battery, and check the wheel"
             )
-        dead_zone = min(self._dead_zone_max, max(0, round(-start / slope)))
+        dead_zone = min(self._dead_zone_max, max(0, round(-intercept / slope)))
         # the line through the dead zone that has the least squares
-        beyond = np.array(outputs) - dead_zone
-        k = float(beyond @ np.abs(rates) / (beyond @ beyond))
+        beyond_dead_zone = np.array(outputs) - dead_zone
+        k = float(beyond_dead_zone @ np.abs(rates) / (beyond_dead_zone @ beyond_dead_zone))
         return Channel(1 if rates[0] > 0 else -1, k, dead_zone)
 
-    def _rate(self, number: int, output: int) -> float:
+    def _measure_rate(self, number: int, output: int) -> float:
         """Measure the turning rate that an output of one channel causes [rad/s].
 
         The result is the mean of both directions of turning, so that a drift of the robot cancels.
@@ -339,19 +339,19 @@ class _Bench:
         robot.
         """
         for _ in range(ATTEMPTS):
-            first = self.rig.loop.frames.count
+            first_count = self.rig.loop.frames.count
             began_ns = self._hold(counts)
             end_ns = began_ns + round((seconds + 2 * self._frames_late_s) * SECOND)
             remaining_s = (end_ns - self.rig.clock.now()) / SECOND
             wait_for(self.rig.clock, self._abort_if_astray, remaining_s)
             self._raise_abort()
-            frames, _ = self.rig.loop.frames.since(first)
+            frames, _ = self.rig.loop.frames.since(first_count)
             self._frames_late_s = max(self._frames_late_s, _excess_delay_s(frames))
             poses = [pose for pose in timed_poses(frames, 0) if pose.exposed_ns >= began_ns]
             times_ns = [began_ns, *(pose.exposed_ns for pose in poses), end_ns]
             gap_max_ns = (GAP_S + self._frames_late_s) * SECOND
             if max(np.diff(times_ns)) <= gap_max_ns:  # none are missing
-                return _steady(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
+                return _fit_steady_motion(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
             self._hold(-counts)
             wait_for(self.rig.clock, self._abort_if_astray, seconds)
@@ -364,7 +364,7 @@ class _Bench:
         self.actuator.held = counts[:, None]
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
-    def _stand(self) -> None:
+    def _stop_and_wait(self) -> None:
         """Stop the wheels, and wait until the robot stands still."""
         self._hold(np.zeros(2, dtype=np.int64))
         self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
@@ -399,28 +399,28 @@ def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
     """
     if len(frames) < 3:
         return 0.0
-    way_ns = np.median([frame.frame.received_ns - frame.exposed(0) for frame in frames])
+    latency_ns = np.median([frame.frame.received_ns - frame.exposed(0) for frame in frames])
     period_ns = np.median(np.diff([frame.exposed(0) for frame in frames]))
-    return max(0.0, float(GAP_PERIODS * period_ns + way_ns) / SECOND - GAP_S)
+    return max(0.0, float(GAP_PERIODS * period_ns + latency_ns) / SECOND - GAP_S)
 
 
-def _steady(poses: Sequence[TimedPose], since_ns: int, mm: float) -> DrivenPath:
+def _fit_steady_motion(poses: Sequence[TimedPose], since_ns: int, mm: float) -> DrivenPath:
     """Fit a steady motion to the poses since the time `since_ns`.
 
     The turning rate is the slope of the headings. To compute the speeds, each displacement is split
     into its parts along and across the heading in the middle of the displacement. The sums of these
     parts are divided by the time. `mm` is the spec's length unit in millimetres.
     """
-    steady = [timed for timed in poses if timed.exposed_ns >= since_ns]
-    t = np.array([timed.exposed_ns for timed in steady]) / SECOND
-    x = np.array([timed.pose.x for timed in steady])
-    y = np.array([timed.pose.y for timed in steady])
-    heading = np.unwrap([timed.pose.heading for timed in steady])
-    turning = float(np.polyfit(t - t[0], heading, 1)[0])
+    settled = [timed for timed in poses if timed.exposed_ns >= since_ns]
+    times_s = np.array([timed.exposed_ns for timed in settled]) / SECOND
+    x = np.array([timed.pose.x for timed in settled])
+    y = np.array([timed.pose.y for timed in settled])
+    heading = np.unwrap([timed.pose.heading for timed in settled])
+    turning = float(np.polyfit(times_s - times_s[0], heading, 1)[0])
     middle = (heading[1:] + heading[:-1]) / 2
     dx = np.diff(x) * mm
     dy = np.diff(y) * mm
-    span_s = t[-1] - t[0]
+    span_s = times_s[-1] - times_s[0]
     cos = np.cos(middle)
     sin = np.sin(middle)
     along = float(np.sum(dx * cos + dy * sin) / span_s)

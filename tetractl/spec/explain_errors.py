@@ -55,7 +55,7 @@ MESSAGES = {
 }
 
 
-LISTED = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
+PLURAL_TYPES = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
 """The plural of each type in a schema, for lists."""
 ERRORS_MAX = 1000
 """Maximum number of pydantic's errors that are explained."""
@@ -98,7 +98,7 @@ def explain(
     """
     schema = schema_of(model)
     for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
-        loc = data_loc(details, document.data)
+        loc = find_data_loc(details, document.data)
         mistake = Mistake(
             details,
             loc,
@@ -106,7 +106,7 @@ def explain(
             about=describe(loc, document.data, schema),
         )
         if not _is_reported_already(mistake, document):
-            yield _problem(mistake, document, schema)
+            yield _create_problem(mistake, document, schema)
 
 
 def _is_reported_already(mistake: Mistake, document: Document) -> bool:
@@ -122,17 +122,17 @@ def _is_reported_already(mistake: Mistake, document: Document) -> bool:
     return any(loc in document.places and document.places[loc].refused for loc in enclosing)
 
 
-def data_loc(details: ErrorDetails, data: Any) -> Loc:
+def find_data_loc(details: ErrorDetails, data: Any) -> Loc:
     """Return the location of an error in the file's data.
 
     The tags of unions in pydantic's location are left out. A validator can name a field of its
     model in the error's context, see `base.inconsistent`.
     """
     steps: list[str | int] = []
-    last = len(details["loc"]) - 1
+    last_index = len(details["loc"]) - 1
     names_a_key = details["type"] in ("missing", "extra_forbidden")
     for i, step in enumerate(details["loc"]):
-        if not (i == last and names_a_key):
+        if not (i == last_index and names_a_key):
             is_tag = isinstance(data, dict) and (data.get("type") == step or step not in data)
             if is_tag or not isinstance(data, dict | list):
                 continue
@@ -142,38 +142,38 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
     return (*steps, field) if isinstance(field, str) else tuple(steps)
 
 
-def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+def _create_problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     """Convert a mistake in a spec to a problem with a message and a position."""
     loc = mistake.loc
     match mistake.kind:
         case "extra_forbidden":
-            meant = _meant_key(str(loc[-1]), loc[:-1], document.data, schema)
+            meant = _suggest_key(str(loc[-1]), loc[:-1], document.data, schema)
             return document.key(loc).problem(loc, f"unknown key{meant}")
         case "missing":
-            return _missing(mistake, document, schema)
+            return _explain_missing(mistake, document, schema)
         case "union_tag_not_found" | "union_tag_invalid":
-            return _wrong_type(mistake, document, schema)
+            return _explain_wrong_type(mistake, document, schema)
         case "not_installed":
             loc_of_name = (*loc, mistake.context.get("key", "type"))
             place = document.place(loc_of_name)
             return place.problem(loc_of_name, mistake.context["why"], place.text)
-    return _wrong_value(mistake, document)
+    return _explain_wrong_value(mistake, document)
 
 
-def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+def _explain_wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     """Create the problem of a section of the spec whose `type` is missing or unknown."""
     loc = (*mistake.loc, "type")
     place = document.place(loc)
-    types = _types(mistake, schema)
+    types = _list_types(mistake, schema)
     message = f"must be one of {', '.join(types.values())}"
     if mistake.kind == "union_tag_not_found":
         return place.problem(loc, f"is missing; {message}")
-    wrong = str(child(mistake.value, "type"))
-    guess = did_you_mean(wrong, list(types))
+    unknown_type = str(child(mistake.value, "type"))
+    guess = did_you_mean(unknown_type, list(types))
     return place.problem(loc, message + guess, place.text)
 
 
-def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+def _explain_missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     """Create the problem of a missing key, or of a list with too few entries.
 
     The latter is reported at the list instead of the missing entry.
@@ -190,7 +190,7 @@ def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
     return place.problem(mistake.loc, message)
 
 
-def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
+def _list_types(mistake: Mistake, schema: Schema) -> dict[str, str]:
     """Return {name: description} of each type that can be chosen here.
 
     If there is no description, the name takes its place.
@@ -201,8 +201,8 @@ def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
     return {name: name for name in tags if name is not None}
 
 
-def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
-    message = _words(mistake)
+def _explain_wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
+    message = _compose_message(mistake)
     place = document.place(mistake.loc)
     is_written = mistake.loc in document.places
     if mistake.value is None and is_written and mistake.kind != "inconsistent":
@@ -211,8 +211,8 @@ def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
     return place.problem(mistake.loc, message, mistake.context.get("value", text))
 
 
-def _words(mistake: Mistake) -> str:
-    """Compose the message for a mistake, from the schema if possible, otherwise by `words`."""
+def _compose_message(mistake: Mistake) -> str:
+    """Compose the message for a mistake, from the schema if possible."""
     about = mistake.about
     if mistake.kind == "literal_error":
         options = [str(option) for option in about.get("enum") or [about.get("const")]]
@@ -222,26 +222,28 @@ def _words(mistake: Mistake) -> str:
         text = about.get("description", mistake.context["pattern"])
         return f"must be {_first_sentence(text.partition(': ')[2] or text)}"
     if mistake.kind == "tuple_type":
-        return f"must be {list_of(about)}"
-    message = words(mistake.details, mistake.value)
+        return f"must be {describe_list(about)}"
+    message = explain_in_words(mistake.details, mistake.value)
     if mistake.kind == "too_long" and mistake.loc[-1] == "start":
         return f"{message}; a heading is a field of its own, heading: {mistake.value[2]}"
     return message
 
 
-def list_of(about: Schema) -> str:
+def describe_list(about: Schema) -> str:
     """Describe the list that a schema requires, such as "a list of 2 numbers".
 
     If the schema has a description, its first sentence follows after a colon.
     """
     entries = about.get("prefixItems") or [about.get("items") or {}]
     count = f"{len(entries)} " if "prefixItems" in about else ""
-    kind = LISTED.get(str(entries[0].get("type")), "entries")
+    entry_type = PLURAL_TYPES.get(str(entries[0].get("type")), "entries")
     description = about.get("description")
-    return f"a list of {count}{kind}" + (f": {_first_sentence(description)}" if description else "")
+    return f"a list of {count}{entry_type}" + (
+        f": {_first_sentence(description)}" if description else ""
+    )
 
 
-def words(details: ErrorDetails, value: Any) -> str:
+def explain_in_words(details: ErrorDetails, value: Any) -> str:
     """Convert an error of the library pydantic to a message in plain words.
 
     If there is no text for this kind of error, return the library's message, beginning with a small
@@ -251,8 +253,8 @@ def words(details: ErrorDetails, value: Any) -> str:
     context = details.get("ctx", {})
     if kind in MESSAGES:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
-        message = MESSAGES[kind].format(**numbers) + _quotes(kind, value)
-        hint = _hint(kind, value)
+        message = MESSAGES[kind].format(**numbers) + _suggest_quotes(kind, value)
+        hint = _suggest_value(kind, value)
         return f"{message}; {hint}" if hint else message
     if kind == "unknown_color":
         colors = context["known"]
@@ -262,7 +264,7 @@ def words(details: ErrorDetails, value: Any) -> str:
     return message[:1].lower() + message[1:]
 
 
-def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
+def _suggest_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
     """Suggest what was meant by an unknown key, as a text that follows "unknown key".
 
     If no field has a similar name, list the fields that are known at this place.
@@ -281,21 +283,21 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
     return f"; known here: {', '.join(fields)}"
 
 
-def _hint(kind: str, value: Any) -> str:
+def _suggest_value(kind: str, value: Any) -> str:
     """Suggest how a wrong value was probably meant, such as with a decimal point. "" if unknown."""
     if isinstance(value, str):
         comma = re.fullmatch(r"([+-]?\d+),(\d+)", value)
-        point = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""
-        return with_space(value) or point
+        point_hint = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""
+        return with_space(value) or point_hint
     if kind == "too_long" and all(isinstance(entry, int | float) for entry in value):
         return "a decimal number has a point, not a comma"
     return ""
 
 
-def _quotes(kind: str, value: Any) -> str:
-    if kind == "string_type" and isinstance(value, int | float):
+def _suggest_quotes(error_type: str, value: Any) -> str:
+    if error_type == "string_type" and isinstance(value, int | float):
         return "; put it in quotes"
-    if kind in ("int_type", "float_type") and isinstance(value, str):
+    if error_type in ("int_type", "float_type") and isinstance(value, str):
         try:
             float(value)
         except ValueError:
@@ -305,5 +307,5 @@ def _quotes(kind: str, value: Any) -> str:
 
 
 def _first_sentence(text: str) -> str:
-    first = text.split(". ")[0].rstrip(".")
-    return first[:1].lower() + first[1:] if not first[:2].isupper() else first
+    sentence = text.split(". ")[0].rstrip(".")
+    return sentence[:1].lower() + sentence[1:] if not sentence[:2].isupper() else sentence

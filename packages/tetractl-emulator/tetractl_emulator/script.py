@@ -13,7 +13,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.spec.base import Finite, Model, Name, Point, with_tuples
-from tetractl.spec.explain_errors import list_of, words
+from tetractl.spec.explain_errors import describe_list, explain_in_words
 from tetractl.spec.yaml.document import Document, parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl.spec.yaml.spec_files import read_text
@@ -191,8 +191,8 @@ def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecPro
             guess = did_you_mean(str(loc[-1]), fields) or f"; known here: {', '.join(fields)}"
             return document.key(loc).problem(loc, f"unknown key{guess}")
     place = document.key(loc) if details["type"] == "extra_forbidden" else document.place(loc)
-    message = words(details, details["input"])
+    message = explain_in_words(details, details["input"])
     if details["type"] == "tuple_type" and loc[0] == "faults" and len(loc) > 2:
         kind = sides.faults[document.data["faults"][loc[1]]["fault"]]
-        message = f"must be {list_of(kind.model_json_schema()['properties'][loc[2]])}"
+        message = f"must be {describe_list(kind.model_json_schema()['properties'][loc[2]])}"
     return place.problem(loc, message)

@@ -20,7 +20,7 @@ from tetractl.spec.base import Model
 from tetractl.spec.controller import ControllerSection, OptimizerSection
 from tetractl.spec.disturbance import DisturbanceSection
 from tetractl.spec.experiment import ShapeSection
-from tetractl.spec.explain_errors import words
+from tetractl.spec.explain_errors import explain_in_words
 from tetractl.spec.lab_section import ActuatorSection, CameraSection
 from tetractl_testing.control_checks import check_controller, check_optimizer
 from tetractl_testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera
@@ -104,7 +104,7 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     except ValidationError as error:
         details = error.errors()[0]
         field = ".".join(map(str, details["loc"]))
-        text = words(details, details["input"])
+        text = explain_in_words(details, details["input"])
         if not field:  # of a check of the whole section
             raise UsageError(f"{code}: {text}") from None
         hint = f"give this field a value with --set {field}=VALUE"

@@ -14,7 +14,7 @@ from tetractl.core.poses import CameraFrame
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS, UP_AXIS, Stream
+from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS_SETTING, UP_AXIS_SETTING, Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 
 VERSIONS = [
@@ -62,7 +62,7 @@ def natnet_datagrams(data: bytes) -> None:
         hearing.asked(question)
     fed = 0
     for datagram in cut_by_headers(rest):
-        hearing.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[fed % 2]))
+        hearing.asked(natnet.NatNetRequest((UP_AXIS_SETTING, UNITS_SETTING)[fed % 2]))
         hearing.feed(datagram, 500 * MS * fed)
         if hearing.newest is not None:
             sound(hearing.newest)

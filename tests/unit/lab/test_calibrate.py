@@ -18,9 +18,9 @@ from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.calibrate import (
     Channel,
     DrivenPath,
-    _Bench,
+    _CalibrationBench,
     _excess_delay_s,
-    _steady,
+    _fit_steady_motion,
     calibrate_robots,
 )
 from tetractl.lab.frames import AcceptedFrame, TimedPose
@@ -174,19 +174,19 @@ def test_a_calibration_finds_the_wheels_that_the_robot_has(
 
 def bench(rates=(), limit=127, scale=1.0, dead_zone_max=60):
     """A bench whose motor channel turns its robot at the rate of a function of the output."""
-    made = object.__new__(_Bench)
+    made = object.__new__(_CalibrationBench)
     made.name = "green"
     made.limit = limit
     made._scale = scale
     made._dead_zone_max = dead_zone_max
     made.driven = []
-    made._stand = lambda: made.driven.append("stand")
+    made._stop_and_wait = lambda: made.driven.append("stand")
 
     def rate(number, output):
         made.driven.append(output)
         return rates(output)
 
-    made._rate = rate
+    made._measure_rate = rate
     return made
 
 
@@ -198,7 +198,7 @@ def test_a_channel_is_a_line_beyond_its_dead_zone(sign, dead_zone, scale, limit)
         return sign * 0.19 / scale * max(0, output - dead_zone * scale)
 
     made = bench(rates, limit, scale, dead_zone_max=200)
-    channel = made._channel(0)
+    channel = made._fit_channel(0)
     assert (channel.sign, channel.dead_zone) == (sign, round(dead_zone * scale))
     assert channel.k == pytest.approx(0.19 / scale)
     assert made.driven.pop() == "stand"
@@ -208,15 +208,15 @@ def test_a_channel_is_a_line_beyond_its_dead_zone(sign, dead_zone, scale, limit)
 
 
 def test_a_dead_zone_is_at_most_what_the_section_can_state():
-    channel = bench(lambda output: 0.2 * max(0, output - 20), dead_zone_max=5)._channel(0)
+    channel = bench(lambda output: 0.2 * max(0, output - 20), dead_zone_max=5)._fit_channel(0)
     assert channel.dead_zone == 5
 
 
 def test_slow_turns_do_not_count_as_they_may_be_a_wheel_that_sticks():
     """Below 0.25 rad/s the rate is wrong here, but the line through the others is right."""
-    channel = bench(lambda output: 0.05 * output if output > 5 else 9.0)._channel(0)
+    channel = bench(lambda output: 0.05 * output if output > 5 else 9.0)._fit_channel(0)
     assert channel.k == pytest.approx(0.05)
-    wrong_when_slow = bench(lambda o: 0.02 * o if 0.02 * o > 0.25 else 0.24)._channel(0)
+    wrong_when_slow = bench(lambda o: 0.02 * o if 0.02 * o > 0.25 else 0.24)._fit_channel(0)
     assert wrong_when_slow.k == pytest.approx(0.02)
 
 
@@ -232,10 +232,10 @@ def test_slow_turns_do_not_count_as_they_may_be_a_wheel_that_sticks():
 )
 def test_a_channel_that_does_not_turn_the_robot_is_refused(rates, says):
     if says is None:
-        bench(rates)._channel(1)
+        bench(rates)._fit_channel(1)
         return
     with pytest.raises(AbortError, match=says):
-        bench(rates)._channel(1)
+        bench(rates)._fit_channel(1)
 
 
 @pytest.mark.parametrize(
@@ -247,9 +247,9 @@ def test_a_radius_is_the_speed_over_the_turning_rates_of_both_wheels(radius_mm, 
     straight = DrivenPath(0.0, -0.6 * radius_mm * turning, 0.8 * radius_mm * turning)
     if refused:
         with pytest.raises(AbortError, match="is impossible"):
-            bench()._radius(straight, channels, [13, 15])
+            bench()._compute_radius(straight, channels, [13, 15])
     else:
-        assert bench()._radius(straight, channels, [13, 15]) == pytest.approx(radius_mm)
+        assert bench()._compute_radius(straight, channels, [13, 15]) == pytest.approx(radius_mm)
 
 
 @pytest.mark.parametrize(
@@ -262,9 +262,9 @@ def test_an_offset_is_the_direction_of_travel_without_a_drift(degrees, refused):
     backwards = DrivenPath(0.0, -along + 7, -across - 9)
     if refused:
         with pytest.raises(AbortError, match=f"{degrees} degrees off"):
-            bench()._offset(forwards, backwards)
+            bench()._compute_offset(forwards, backwards)
     else:
-        assert bench()._offset(forwards, backwards) == pytest.approx(angle)
+        assert bench()._compute_offset(forwards, backwards) == pytest.approx(angle)
 
 
 @pytest.mark.parametrize("mm", [1.0, 1000.0])
@@ -282,7 +282,7 @@ def test_a_steady_motion_has_its_turning_rate_and_its_speeds_in_mm(mm, turning, 
         y += speed / 120 * math.sin(middle)
     before = [TimedPose(0, Pose(99.0, 99.0, 1.0))]  # the wheels have not settled yet
     shifted = [TimedPose(timed.exposed_ns + SECOND, timed.pose) for timed in poses]
-    path = _steady(before + shifted, SECOND, mm)
+    path = _fit_steady_motion(before + shifted, SECOND, mm)
     assert path.turning == pytest.approx(turning, abs=1e-6)
     expected = (speed * math.cos(course), speed * math.sin(course))
     assert (path.along, path.across) == pytest.approx(expected, abs=1e-6)

@@ -6,7 +6,7 @@ import pytest
 from pydantic import Field
 
 from tetractl.spec.base import Model, validated
-from tetractl.spec.explain_errors import ERRORS_MAX, list_of, words
+from tetractl.spec.explain_errors import ERRORS_MAX, describe_list, explain_in_words
 from tetractl.spec.load import parse_contents, parse_spec
 from tetractl.spec.yaml.document import parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -173,14 +173,14 @@ def test_a_list_that_is_too_short_only_because_entries_are_wrong_is_not_called_s
     ],
 )  # fmt: skip
 def test_a_list_is_described_by_its_entries(about, text):
-    assert list_of(about) == text
+    assert describe_list(about) == text
 
 
 def test_an_error_without_words_keeps_those_of_its_validator():
     details: Any = {"type": "value_error", "msg": "Value error, Must be even", "loc": ()}
-    assert words(details, 3) == "must be even"
+    assert explain_in_words(details, 3) == "must be even"
     numbers: Any = {"type": "less_than", "msg": "", "loc": (), "ctx": {"lt": 10.0}}
-    assert words(numbers, 11) == "must be less than 10"
+    assert explain_in_words(numbers, 11) == "must be less than 10"
 
 
 # in a spec

@@ -238,11 +238,11 @@ class WheeledActuator(ABC):
 
         If `held` is set, these outputs are sent instead. Robots that may not move get 0.
         """
-        may = np.array(moving, dtype=np.bool_)
+        may_move = np.array(moving, dtype=np.bool_)
         if self.held is None:
-            outputs = self.outputs(self.wished(action, poses, exposed_ns), may)
+            outputs = self.outputs(self.wished(action, poses, exposed_ns), may_move)
         else:
-            outputs = self.held * may
+            outputs = self.held * may_move
         sent_ns, speeds = self._drive(outputs)
         return self._transmission(sent_ns, action, speeds, tuple(moving))
 
@@ -253,16 +253,16 @@ class WheeledActuator(ABC):
         """
         sent_ns = self._halt(emergency)
         count = len(self.names)
-        none = np.zeros((2, count), dtype=np.int64)
-        still = self._host.drivetrains.speeds(none)
-        return self._transmission(sent_ns, Stop(), still, (True,) * count)
+        zero_outputs = np.zeros((2, count), dtype=np.int64)
+        zero_speeds = self._host.drivetrains.speeds(zero_outputs)
+        return self._transmission(sent_ns, Stop(), zero_speeds, (True,) * count)
 
-    def outputs(self, wished: Floats, may: Bools) -> CountArray:
+    def outputs(self, wished: Floats, may_move: Bools) -> CountArray:
         """Convert wheel speeds (2, N) [mm/s] to outputs (2, N), in the actuator's own unit.
 
-        They are 0 for robots that may not move: `may` is False for them, shape (N,).
+        They are 0 for robots that may not move: `may_move` is False for them, shape (N,).
         """
-        return self._host.counts(wished) * may
+        return self._host.counts(wished) * may_move
 
     def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
         """Compute the wheel speeds (2, N) [mm/s] that an action requires, with `WheelHost`.
@@ -275,14 +275,14 @@ class WheeledActuator(ABC):
             poses: Pose of each robot. None if it is untracked.
             exposed_ns: The time of the poses [ns].
         """
-        arrives = self._clock.now() + self._delay_ns
-        since = max(exposed_ns, arrives - AHEAD_NS)
+        arrival_ns = self._clock.now() + self._delay_ns
+        since_ns = max(exposed_ns, arrival_ns - AHEAD_NS)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
         drives = isinstance(action, Steer)
         if drives and action.lag_s is not None:
             self._host.assume_lag(action.lag_s)
         u = action.direction if drives else action.facing
-        wished = self._host.wished(heading, u, since, arrives, drives)
+        wished = self._host.wished(heading, u, since_ns, arrival_ns, drives)
         wished[:, [pose is None for pose in poses]] = 0.0
         return wished
 
@@ -344,13 +344,15 @@ def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:
         warn_v: Voltage below which its battery is low [V].
     """
     if reply is None:
-        line = f"{name} does not answer: is the robot switched on, and is its index right?"
-        return RobotStatus(False, problems=(line,))
+        problem = f"{name} does not answer: is the robot switched on, and is its index right?"
+        return RobotStatus(False, problems=(problem,))
     volts = reply.battery_mv / 1000 or None
-    low = "" if volts is None else f"{name}'s battery has {volts:.2f} V"
+    battery_text = "" if volts is None else f"{name}'s battery has {volts:.2f} V"
     if reply.status & Status.EMERGENCY_STOPPED:
-        line = f"{name} is emergency-stopped: switch it off and on again"
-        return RobotStatus(True, volts, (line,))
+        problem = f"{name} is emergency-stopped: switch it off and on again"
+        return RobotStatus(True, volts, (problem,))
     if volts is not None and volts < EMPTY_V:
-        return RobotStatus(True, volts, (f"{low}: charge it",))
-    return RobotStatus(True, volts, (), (low,) if volts is not None and volts < warn_v else ())
+        return RobotStatus(True, volts, (f"{battery_text}: charge it",))
+    return RobotStatus(
+        True, volts, (), (battery_text,) if volts is not None and volts < warn_v else ()
+    )

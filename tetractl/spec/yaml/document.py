@@ -136,8 +136,8 @@ class Document:
             place: The place from which the new value comes.
         """
         self.holder(loc)[loc[-1]] = value
-        stale = [inner for inner in self.places if inner[: len(loc)] == loc]
-        for inner in stale:
+        outdated = [inner for inner in self.places if inner[: len(loc)] == loc]
+        for inner in outdated:
             del self.places[inner]
         self.places[loc] = place
 
@@ -190,17 +190,20 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
         loc: The location of the value.
     """
     document = Document(origin)
-    value = None
+    parsed = None
     try:
         root = compose(text, origin)
         if root is not None:
-            value = _Builder(text, document).build(root, loc)
+            parsed = _Builder(text, document).build(root, loc)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
     if document.all_problems:
         problems = document.all_problems
-        raise InvalidSpecError(SpecProblem(p.origin, p.message, field=p.field) for p in problems)
-    return value
+        raise InvalidSpecError(
+            SpecProblem(problem.origin, problem.message, field=problem.field)
+            for problem in problems
+        )
+    return parsed
 
 
 class _Builder:
@@ -227,7 +230,7 @@ class _Builder:
         if isinstance(node, MappingNode) and node.tag == CORE + "map":
             return {
                 name: self.build(value, (*loc, name), depth + 1, key_of_value)
-                for name, key_of_value, value in self._items(node, loc)
+                for name, key_of_value, value in self._read_items(node, loc)
             }
         if isinstance(node, SequenceNode) and node.tag == CORE + "seq":
             return [self.build(child, (*loc, i), depth + 1) for i, child in enumerate(node.value)]
@@ -240,7 +243,7 @@ class _Builder:
             places[loc] = replace(places[loc], refused=problem)
             return None
 
-    def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Place, Node]]:
+    def _read_items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Place, Node]]:
         """Yield each key of a mapping, its place and the node of its value.
 
         A key that is not text, or that occurs a second time, is left out and added to the problems.
@@ -255,8 +258,8 @@ class _Builder:
                 problem = place.problem(loc, said, place.text)
                 self.document.problems.append(problem)
             elif (*loc, key.value) in self.document.places:
-                first = self.document.key((*loc, key.value)).line
-                message = f"is given twice, first in line {first}; keep one"
+                first_line = self.document.key((*loc, key.value)).line
+                message = f"is given twice, first in line {first_line}; keep one"
                 self.document.problems.append(place.problem((*loc, key.value), message))
             else:
                 yield key.value, place, value
@@ -266,8 +269,8 @@ class _Builder:
 
         It includes the node's text if that is on a single line and the node is not a mapping.
         """
-        start = node.start_mark
-        text = self.text[start.index : node.end_mark.index].strip()
-        one_line = "\n" not in text and not isinstance(node, MappingNode)
-        excerpt = printable(text, SHOWN_LENGTH) if one_line and text else None
-        return Place(self.document.origin, start.line + 1, start.column + 1, excerpt, key)
+        start_mark = node.start_mark
+        excerpt_text = self.text[start_mark.index : node.end_mark.index].strip()
+        one_line = "\n" not in excerpt_text and not isinstance(node, MappingNode)
+        excerpt = printable(excerpt_text, SHOWN_LENGTH) if one_line and excerpt_text else None
+        return Place(self.document.origin, start_mark.line + 1, start_mark.column + 1, excerpt, key)

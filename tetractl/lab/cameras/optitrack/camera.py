@@ -24,7 +24,7 @@ from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
-from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
+from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack_message
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import WAITING_MAX, drained
@@ -287,9 +287,9 @@ class OptitrackCamera:
             yield "connect", ASK_NS, natnet.Connect(pinned or natnet.NEWEST, pinned is not None)
             return
         if stream.up is None:
-            yield "up", ASK_NS, natnet.NatNetRequest(UP_AXIS)
+            yield "up", ASK_NS, natnet.NatNetRequest(UP_AXIS_SETTING)
         elif stream.unit_mm is None and self._asked["unit"] < 4:  # some servers ignore it
-            yield "unit", ASK_NS, natnet.NatNetRequest(UNITS)
+            yield "unit", ASK_NS, natnet.NatNetRequest(UNITS_SETTING)
         if stream.model is None:
             yield "models", ASK_NS, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)
         elif stream.models_changed or stream.changing or stream.missing():

@@ -78,19 +78,19 @@ class ClockSync:
         halfway = (sent_ns + returned_ns) // 2
         server_ns = ticks * SECOND // self.clock_hz
         echo = Echo(halfway, server_ns, returned_ns - sent_ns)
-        self.fault = self.fault or self._contradiction(echo)
+        self.fault = self.fault or self._find_contradiction(echo)
         self._echoes.append(echo)
         self.synced = True
-        best = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
+        fastest_echoes = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
         # the quarter with the shortest round trips
-        best = best[: max(1, round(0.25 * len(best)))]
-        self._at = max(best, key=lambda echo: echo.host_ns)
-        self.drift = _slope(best)
+        fastest_echoes = fastest_echoes[: max(1, round(0.25 * len(fastest_echoes)))]
+        self._at = max(fastest_echoes, key=lambda echo: echo.host_ns)
+        self.drift = _fit_drift(fastest_echoes)
 
     def to_host(self, ticks: int) -> int:
         """Return the host time [ns] at which the server's clock showed `ticks`."""
-        since = ticks * SECOND // self.clock_hz - self._at.server_ns
-        return self._at.host_ns + round(since / (1.0 + self.drift))
+        server_offset_ns = ticks * SECOND // self.clock_hz - self._at.server_ns
+        return self._at.host_ns + round(server_offset_ns / (1.0 + self.drift))
 
     def error_ns(self, host_ns: int) -> int:
         """Return the maximum error of `to_host` for times near a host time [ns]."""
@@ -98,41 +98,48 @@ class ClockSync:
         drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
-    def _contradiction(self, new: Echo) -> str:
+    def _find_contradiction(self, new_echo: Echo) -> str:
         """Return a message if the server's clock jumped or runs at a wrong rate, else "".
 
         It compares a new echo with all earlier ones.
         """
-        for old in reversed(self._echoes):
-            span = new.host_ns - old.host_ns
-            gained = new.server_ns - old.server_ns - span
-            unsure = (old.round_trip_ns + new.round_trip_ns) // 2 + self._resolution_ns
-            if abs(gained) > unsure + DRIFT_MAX * abs(span):
+        for earlier_echo in reversed(self._echoes):
+            span_ns = new_echo.host_ns - earlier_echo.host_ns
+            gained_ns = new_echo.server_ns - earlier_echo.server_ns - span_ns
+            uncertainty_ns = (
+                earlier_echo.round_trip_ns + new_echo.round_trip_ns
+            ) // 2 + self._resolution_ns
+            if abs(gained_ns) > uncertainty_ns + DRIFT_MAX * abs(span_ns):
                 return (
-                    f"the camera server's clock {('gained' if gained > 0 else 'lost')} "
-                    f"{abs(gained) / 1000000.0:.1f} ms on this computer's clock within "
-                    f"{span / SECOND:.2f} s: it was set, or runs at a wrong rate"
+                    f"the camera server's clock {('gained' if gained_ns > 0 else 'lost')} "
+                    f"{abs(gained_ns) / 1000000.0:.1f} ms on this computer's clock within "
+                    f"{span_ns / SECOND:.2f} s: it was set, or runs at a wrong rate"
                 )
         return ""
 
 
-def _slope(echoes: list[Echo]) -> float:
+def _fit_drift(echoes: list[Echo]) -> float:
     """Fit the drift of the server's clock against the host's to echoes [s/s].
 
     It is 0 if they span less than 5 s, and at most DRIFT_MAX in magnitude.
     """
-    first = echoes[0]
-    t = [echo.host_ns - first.host_ns for echo in echoes]
-    if max(t) - min(t) < 5 * SECOND:  # too short a span for a fit of the drift
+    first_echo = echoes[0]
+    host_offsets_ns = [echo.host_ns - first_echo.host_ns for echo in echoes]
+    if (
+        max(host_offsets_ns) - min(host_offsets_ns) < 5 * SECOND
+    ):  # too short a span for a fit of the drift
         return 0.0
-    gained = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
-    slope = statistics.linear_regression(t, gained).slope
+    gained = [
+        (echo.server_ns - first_echo.server_ns) - x
+        for echo, x in zip(echoes, host_offsets_ns, strict=True)
+    ]
+    slope = statistics.linear_regression(host_offsets_ns, gained).slope
     return max(-DRIFT_MAX, min(DRIFT_MAX, slope))
 
 
 AGE_MAX_NS = 60 * SECOND  # a frame with a larger age was not exposed by these cameras
-UP_AXIS = "UpAxis"
-UNITS = "UnitsToMillimeters"
+UP_AXIS_SETTING = "UpAxis"
+UNITS_SETTING = "UnitsToMillimeters"
 EDIT_MODE = "Motive is in edit mode, in which it streams a recording"
 
 
@@ -192,9 +199,9 @@ class OpenRequests:
 
     def take_text(self) -> str | None:
         """Return the last text request and close it. None if no text request is open."""
-        text = self._text
+        request = self._text
         self._text = None
-        return text
+        return request
 
 
 class Stream:
@@ -281,25 +288,28 @@ class Stream:
                 return None
             self._take(message, received_ns)
         except WireError:
-            self._unread(datagram)
+            self._count_unread(datagram)
             return None
         return message
 
-    def _unread(self, datagram: bytes) -> None:
-        kind = int.from_bytes(datagram[:2], "little")
-        if self.info is None and kind in (natnet.MessageKind.FRAME, natnet.MessageKind.MODELDEF):
+    def _count_unread(self, datagram: bytes) -> None:
+        message_kind = int.from_bytes(datagram[:2], "little")
+        if self.info is None and message_kind in (
+            natnet.MessageKind.FRAME,
+            natnet.MessageKind.MODELDEF,
+        ):
             return  # the version is not known yet
         self.counts.bad += 1
-        if kind == natnet.MessageKind.FRAME:
+        if message_kind == natnet.MessageKind.FRAME:
             self.counts.unread_frames += 1
             self.unread_frame = datagram
-        elif kind == natnet.MessageKind.MODELDEF:
+        elif message_kind == natnet.MessageKind.MODELDEF:
             self.counts.unread_models += 1
 
     def _take(self, message: natnet.ServerMessage, received_ns: int) -> None:
         match message:
             case natnet.NatNetFrame():
-                self._frame(message, received_ns)
+                self._take_frame(message, received_ns)
             case natnet.ServerInfo() if self.info is None:
                 self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
@@ -308,22 +318,22 @@ class Stream:
                 self._ids = message.ids()
                 self.model = message
                 self.models_changed = False
-                self._twins = self._twins_in(message)
+                self._twins = self._find_twins(message)
             case natnet.EchoResponse(client, server) if self.sync is not None:
                 self.sync.add(client, received_ns, server)
                 self._fault = self._fault or self.sync.fault
             case natnet.Response():
-                self._response(message)
+                self._take_response(message)
             case _:
                 pass
 
-    def _response(self, response: natnet.Response) -> None:
+    def _take_response(self, response: natnet.Response) -> None:
         request = self._requests.take_text()
-        if request == UP_AXIS and self.up is None:
+        if request == UP_AXIS_SETTING and self.up is None:
             self.up_answer = int(read_number(response, "i"))
             if self.up_answer in (UpAxis.Y, UpAxis.Z):
                 self.up = UpAxis(self.up_answer)
-        elif request == UNITS:
+        elif request == UNITS_SETTING:
             unit_mm = read_number(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
                 raise WireError(f"a unit of length of {unit_mm:g} mm is implausible")
@@ -334,23 +344,23 @@ class Stream:
                     "of metres"
                 )
 
-    def _frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
-        sampled_ns = self._exposed(frame, received_ns)
-        before = self.newest
-        if before is not None and frame.number <= before.number:
-            if sampled_ns < before.sampled_ns or frame.number >= before.number - 10:
+    def _take_frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
+        sampled_ns = self._find_exposure(frame, received_ns)
+        previous = self.newest
+        if previous is not None and frame.number <= previous.number:
+            if sampled_ns < previous.sampled_ns or frame.number >= previous.number - 10:
                 return  # it was overtaken on its way; without a clock, by few
             self._fault = (
-                f"the frame counter went back from {before.number} to {frame.number}: "
+                f"the frame counter went back from {previous.number} to {frame.number}: "
                 "the server was restarted, or plays a recording"
             )
         self.counts.frames += 1
         self.models_changed |= frame.models_changed
         self.changing = frame.models_changed
         self.seen = tuple(body.id for body in frame.bodies)
-        self.newest = self._camera_frame(frame, sampled_ns, received_ns)
+        self.newest = self._build_camera_frame(frame, sampled_ns, received_ns)
 
-    def _exposed(self, frame: natnet.NatNetFrame, received_ns: int) -> int:
+    def _find_exposure(self, frame: natnet.NatNetFrame, received_ns: int) -> int:
         if frame.exposure is None or self.sync is None or not self.sync.synced:
             return received_ns
         sampled_ns = self.sync.to_host(frame.exposure)
@@ -359,47 +369,47 @@ class Stream:
             self._mistimed = 0
             return min(received_ns, sampled_ns)
         self._mistimed += 1
-        when = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
+        age_text = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
         if self._mistimed < 5:  # a damaged frame, not yet a wrong clock
-            raise WireError(f"the exposure time of a frame is not plausible: {when}")
+            raise WireError(f"the exposure time of a frame is not plausible: {age_text}")
         self._fault = self._fault or (
-            f"according to the camera server's clock, frames were exposed {when}: the clock "
+            f"according to the camera server's clock, frames were exposed {age_text}: the clock "
             "was set, or runs at a wrong rate"
         )
         return received_ns
 
-    def _twins_in(self, model: natnet.ModelDef) -> str:
+    def _find_twins(self, model: natnet.ModelDef) -> str:
         """Return a message if two bodies have the same name as one robot's body, otherwise ""."""
         for robot in self.robots:
             ids = [number for name, number in model.bodies if name == robot.body]
             if len(ids) > 1:
-                listed = " and ".join(map(str, ids))
-                named = f"rigid bodies named '{robot.body}', of ids {listed}"
-                return f"the cameras have {len(ids)} {named}"
+                id_list = " and ".join(map(str, ids))
+                description = f"rigid bodies named '{robot.body}', of ids {id_list}"
+                return f"the cameras have {len(ids)} {description}"
         return ""
 
-    def _camera_frame(
+    def _build_camera_frame(
         self, frame: natnet.NatNetFrame, sampled_ns: int, received_ns: int
     ) -> CameraFrame:
         poses: list[Pose | None] = []
-        others = list(frame.bodies)
+        unknown_bodies = list(frame.bodies)
         twins = self._twins
         for robot in self.robots:
             number = self.number(robot.body)
             with_number = [body for body in frame.bodies if body.id == number]
-            others = [body for body in others if body.id != number]
+            unknown_bodies = [body for body in unknown_bodies if body.id != number]
             if len(with_number) > 1:
                 twins = twins or f"a frame has {len(with_number)} rigid bodies of id {number}"
             if len(with_number) != 1 or self.up is None:
                 poses.append(None)
             else:
                 poses.append(self._placement.pose(with_number[0], self.up, robot.heading_offset))
-        strangers = [self._placement.pose(body, self.up) for body in others if self.up]
+        unknown_poses = [self._placement.pose(body, self.up) for body in unknown_bodies if self.up]
         return CameraFrame(
             number=frame.number,
             sampled_ns=sampled_ns,
             received_ns=received_ns,
             poses=tuple(poses),
-            unknown_objects=tuple(pose for pose in strangers if pose is not None),
+            unknown_objects=tuple(pose for pose in unknown_poses if pose is not None),
             fault=self._fault or (EDIT_MODE if frame.edit_mode else "") or twins,
         )

@@ -9,7 +9,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
+from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, Stream
 
 pytestmark = pytest.mark.slow
 
@@ -120,7 +120,7 @@ def test_a_frame_of_the_past_was_overtaken_by_however_many_and_a_new_one_counts_
 )
 def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(answer, unit_mm, fault):
     stream = connected()
-    stream.asked(natnet.NatNetRequest(UNITS))
+    stream.asked(natnet.NatNetRequest(UNITS_SETTING))
     stream.feed(answer_of("<f", answer), 0)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
     assert stream.unit_mm == unit_mm
@@ -140,7 +140,7 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     """Regression: x up was answered by a hint to set y or z in the spec."""
     stream = connected(up=None)
     if answer is not None:
-        stream.asked(natnet.NatNetRequest(UP_AXIS))
+        stream.asked(natnet.NatNetRequest(UP_AXIS_SETTING))
         stream.feed(answer_of("<i", answer), 0)
     error = diagnosis.no_up_axis(stream)
     assert stream.up is None

@@ -13,7 +13,7 @@ from tetractl.lab.cameras.optitrack import natnet, wire
 from tetractl.lab.cameras.optitrack.camera import ASK_NS, FIRST_ECHOES, OptitrackCamera
 from tetractl.lab.cameras.optitrack.natnet import MessageKind, UpAxis, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
-from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS
+from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING
 
 SERVER = "192.168.1.5"
 COMMANDS = 1510
@@ -93,9 +93,9 @@ class Server:
             rest = struct.pack("<QH5x", self.clock_hz, DATA)
             info = wire.pack_sender(self.name, self.version) + rest
             self.say(MessageKind.SERVER_INFO, info)
-        elif what == UP_AXIS:
+        elif what == UP_AXIS_SETTING:
             self.say(MessageKind.RESPONSE, struct.pack("<i", 2))
-        elif what == UNITS:
+        elif what == UNITS_SETTING:
             self.say(MessageKind.RESPONSE, struct.pack("<f", 1000.0))
         elif what == "REQUEST_MODELDEF":
             rows = [name.encode() + b"\0" + struct.pack("<ii", k, -1) for name, k in self.bodies]
@@ -181,7 +181,7 @@ def test_a_server_is_asked_once_for_what_it_answers_and_goes_on_with_echoes():
     server = Server()
     with server.camera() as camera:
         server.run(10)
-        for what in ("CONNECT", UP_AXIS, UNITS, "REQUEST_MODELDEF"):
+        for what in ("CONNECT", UP_AXIS_SETTING, UNITS_SETTING, "REQUEST_MODELDEF"):
             assert len(server.times(what)) == 1, what
         assert set(gaps(server.times("KEEPALIVE"))) == {1.0}
         echoes = gaps(server.times("ECHO_REQUEST"))
@@ -210,20 +210,20 @@ def test_an_unanswered_request_is_repeated_after_a_quarter_second():
 
 def test_a_server_that_ignores_the_unit_is_asked_four_times_and_warned_of():
     server = Server()
-    server.silent_about = {UNITS}
+    server.silent_about = {UNITS_SETTING}
     with server.camera() as camera:
         server.run(5)
-        assert len(server.times(UNITS)) == 4
+        assert len(server.times(UNITS_SETTING)) == 4
         assert any("metres are assumed" in warning for warning in camera.check().warnings)
 
 
 def test_a_stated_axis_is_not_asked_for_and_one_that_nobody_states_is_needed():
     server = Server()
     with server.camera(up_axis="y") as camera:
-        assert server.times(UP_AXIS) == []
+        assert server.times(UP_AXIS_SETTING) == []
         assert camera.stream.up is UpAxis.Y
     server = Server()
-    server.silent_about = {UP_AXIS}
+    server.silent_about = {UP_AXIS_SETTING}
     with pytest.raises(AbortError):
         server.camera(connect=1).__enter__()
 

@@ -8,7 +8,7 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.camera import ASK_NS, OptitrackCamera
-from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS
+from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING
 
 KNOWN = {
     "info": "server",
@@ -50,8 +50,8 @@ def test_a_server_is_asked_to_answer_first():
 
 
 def test_what_is_missing_is_asked_for():
-    assert asked(camera(up=None)) == {"up": (ASK_NS, natnet.NatNetRequest(UP_AXIS))}
-    assert asked(camera(unit_mm=None)) == {"unit": (ASK_NS, natnet.NatNetRequest(UNITS))}
+    assert asked(camera(up=None)) == {"up": (ASK_NS, natnet.NatNetRequest(UP_AXIS_SETTING))}
+    assert asked(camera(unit_mm=None)) == {"unit": (ASK_NS, natnet.NatNetRequest(UNITS_SETTING))}
     assert list(asked(camera(up=None, unit_mm=None, model=None))) == ["up", "models"]
     assert list(asked(camera(unicast=True))) == ["alive"]
 

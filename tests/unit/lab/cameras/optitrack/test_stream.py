@@ -11,8 +11,8 @@ from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import (
     AGE_MAX_NS,
     DRIFT_MAX,
-    UNITS,
-    UP_AXIS,
+    UNITS_SETTING,
+    UP_AXIS_SETTING,
     ClockSync,
     OpenRequests,
     Stream,
@@ -210,9 +210,9 @@ def answered(made, request, payload):
 
 @pytest.mark.parametrize(("answer", "up"), [(1, UpAxis.Y), (2, UpAxis.Z), (0, None), (3, None)])
 def test_the_servers_axis_is_taken_if_the_spec_states_none(answer, up):
-    made = answered(streaming(up=None), UP_AXIS, struct.pack("<i", answer))
+    made = answered(streaming(up=None), UP_AXIS_SETTING, struct.pack("<i", answer))
     assert (made.up, made.up_answer) == (up, answer)
-    stated = answered(streaming(up=UpAxis.Y), UP_AXIS, struct.pack("<i", answer))
+    stated = answered(streaming(up=UpAxis.Y), UP_AXIS_SETTING, struct.pack("<i", answer))
     assert (stated.up, stated.up_answer) == (UpAxis.Y, None)
 
 
@@ -232,7 +232,7 @@ def test_the_servers_axis_is_taken_if_the_spec_states_none(answer, up):
     ],
 )
 def test_a_server_in_another_unit_than_metres_is_a_fault(unit_mm, taken, is_fault):
-    made = answered(streaming(), UNITS, struct.pack("<f", unit_mm))
+    made = answered(streaming(), UNITS_SETTING, struct.pack("<f", unit_mm))
     assert (made.unit_mm is not None, made.counts.bad) == (taken, 0 if taken else 1)
     fault = take(made, frame(1), MS).fault
     assert ("instead of metres" in fault) is is_fault

@@ -15,13 +15,18 @@ from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 
-ROBOTS_MAX = 32  # most robots of a link: numbers are from 0 to 31
-LINE_MAX = 300  # characters without the line's end
-# greatest absolute speed [mm/s] and turning rate [mrad/s]
+ROBOTS_MAX = 32
+"""Maximum number of robots on a link. Their indices are 0 to 31."""
+LINE_MAX = 300
+"""Maximum length of a line without its end [characters]."""
 SPEED_MAX = 5000
-TURN_MAX = 50_000  # largest turning rate of a command [mrad/s]
-DIGITS_MAX = 6  # most digits of a number
-REPLY_SLOT_MS = 20  # robot i replies i slots after a poll, so that replies do not collide
+"""Maximum absolute speed in a command [mm/s]."""
+TURN_MAX = 50_000
+"""Maximum absolute turning rate in a command [mrad/s]."""
+DIGITS_MAX = 6
+"""Maximum number of digits of a number."""
+REPLY_SLOT_MS = 20
+"""Length of a reply slot [ms]. Robot i replies i slots after a poll, so that no two collide."""
 Kind = Literal["T", "W"]
 Entry = tuple[int, int, int]
 """A robot's index with its two numbers: v [mm/s] and w [mrad/s], or both wheels' speeds [mm/s]."""
@@ -51,8 +56,8 @@ def encode_command(command: LineCommand) -> bytes:
         int(command.flags),
         *(n for entry in command.entries for n in entry),
     ]
-    text = " ".join([command.kind, *map(str, numbers)]).encode("ascii")
-    line = text + b"*%04X\n" % cobs.crc16(text)
+    body = " ".join([command.kind, *map(str, numbers)]).encode("ascii")
+    line = body + b"*%04X\n" % cobs.crc16(body)
     if decode_command(line[:-1]) != command:
         raise WireError(f"this command cannot be sent: {command}")
     return line
@@ -64,12 +69,12 @@ def decode_command(line: bytes) -> LineCommand:
     Raises:
         WireError: If the line is not a command.
     """
-    kind, *numbers = _numbers(line)
-    if kind not in ("T", "W") or len(numbers) < 2 or len(numbers) % 3 != 2:
+    letter, *numbers = _parse_numbers(line)
+    if letter not in ("T", "W") or len(numbers) < 2 or len(numbers) % 3 != 2:
         raise WireError("not a command")
-    second_max = SPEED_MAX if kind == "W" else TURN_MAX
-    sequence, flags, *rest = numbers
-    entries = tuple(zip(rest[::3], rest[1::3], rest[2::3], strict=True))
+    second_max = SPEED_MAX if letter == "W" else TURN_MAX
+    sequence, flags, *entry_numbers = numbers
+    entries = tuple(zip(entry_numbers[::3], entry_numbers[1::3], entry_numbers[2::3], strict=True))
     for index, first_speed, second_speed in entries:
         if not (
             0 <= index < ROBOTS_MAX
@@ -81,7 +86,7 @@ def decode_command(line: bytes) -> LineCommand:
             )
     if not 0 <= sequence <= 255:
         raise WireError(f"the sequence number must be from 0 to 255, but it is {sequence}")
-    return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)
+    return LineCommand(letter, sequence, cobs.checked_flags(flags), entries)
 
 
 def decode_reply(line: bytes) -> Reply:
@@ -90,27 +95,27 @@ def decode_reply(line: bytes) -> Reply:
     Raises:
         WireError: If the line is not a reply.
     """
-    kind, *numbers = _numbers(line)
-    if kind != "S" or len(numbers) != 6 or min(numbers) < 0:
+    letter, *numbers = _parse_numbers(line)
+    if letter != "S" or len(numbers) != 6 or min(numbers) < 0:
         raise WireError("not a reply")
     index, sequence, status, *counters = numbers
     return Reply(index, sequence, Status(status & 7), *counters)
 
 
-def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
+def _parse_numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
     """Split a line into its first letter and its numbers, and check its CRC.
 
     Raises:
         WireError: If its CRC or form is wrong.
     """
     line = line.removesuffix(b"\r")
-    head = line[:-5]
+    body = line[:-5]
     seal = line[-5:]
-    if not head or len(line) > LINE_MAX or seal != b"*%04X" % cobs.crc16(head):
+    if not body or len(line) > LINE_MAX or seal != b"*%04X" % cobs.crc16(body):
         raise WireError("wrong CRC")
-    kind, *words = head.decode("ascii", "replace").split(" ")
-    for word in words:
-        digits = word.removeprefix("-")
+    letter, *number_texts = body.decode("ascii", "replace").split(" ")
+    for number_text in number_texts:
+        digits = number_text.removeprefix("-")
         if not (digits.isascii() and digits.isdecimal() and len(digits) <= DIGITS_MAX):
-            raise WireError(f"{word!r} is not a number")
-    return kind, *map(int, words)
+            raise WireError(f"{number_text!r} is not a number")
+    return letter, *map(int, number_texts)

@@ -21,7 +21,7 @@ def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float
         timeout_s: How long the client waited [s].
     """
     address = f"{section.server}:{section.command_port}"
-    refused = senders.main_refused_sender(sends_frames=False)
+    refused = senders.find_main_refused_sender(sends_frames=False)
     if refused is not None:
         sender, _ = refused
         return AbortError(
@@ -48,7 +48,7 @@ def no_frames(
         timeout_s: How long the client waited [s].
     """
     server = f"the camera server at {section.server}:{section.command_port} answers"
-    refused = senders.main_refused_sender(sends_frames=True)
+    refused = senders.find_main_refused_sender(sends_frames=True)
     if refused is not None and not stream.counts.unread_frames:
         sender, count = refused
         fits = _reads_as(senders.refused_frame, stream)

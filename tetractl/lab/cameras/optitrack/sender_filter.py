@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 from tetractl.lab.cameras.optitrack.natnet import MessageKind
 
-ANSWERS = frozenset(MessageKind) - {MessageKind.FRAME}
+ANSWER_KINDS = frozenset(MessageKind) - {MessageKind.FRAME}
+"""Kinds of messages with which the server answers requests: all except frames."""
 REFUSED_SENDERS_MAX = 64
 """Maximum number of refused senders that are counted. Forged ones must not fill the memory."""
 
@@ -34,7 +35,7 @@ class Sender(NamedTuple):
 
 
 class SenderFilter:
-    """Accepts the datagrams of one server, and counts all others by their sender.
+    """A filter that accepts the datagrams of one server, and counts all others by their sender.
 
     Attributes:
         frames_port: The port that frames come from; None while it is unknown.
@@ -50,7 +51,7 @@ class SenderFilter:
         self.refused_frame = b""
 
     def accept(self, datagram: bytes, host: str, port: int) -> bool:
-        """Return whether a datagram comes from the server. If it does not, count it.
+        """Check whether a datagram comes from the server. If it does not, count it as refused.
 
         While the frames' port is unknown, frames are accepted from every port of the server. A
         datagram of unknown kind is treated as a frame, because it may be a damaged frame.
@@ -60,7 +61,7 @@ class SenderFilter:
             host: IP address of its sender.
             port: UDP port of its sender.
         """
-        is_frame = int.from_bytes(datagram[:2], "little") not in ANSWERS
+        is_frame = int.from_bytes(datagram[:2], "little") not in ANSWER_KINDS
         expected_port = (self.frames_port or port) if is_frame else self.command_port
         if host == self.server and port == expected_port:
             return True
@@ -78,7 +79,7 @@ class SenderFilter:
         """
         self.frames_port = self.frames_port or port
 
-    def main_refused_sender(self, *, sends_frames: bool) -> tuple[Sender, int] | None:
+    def find_main_refused_sender(self, *, sends_frames: bool) -> tuple[Sender, int] | None:
         """Find the sender whose frames (or answers) were refused most often.
 
         Returns:

@@ -17,7 +17,7 @@ SAME_HOST = SimpleNamespace(host="10.0.0.1", port=1999)
 
 def senders(sender=None, count=5):
     return SimpleNamespace(
-        main_refused_sender=lambda sends_frames: None if sender is None else (sender, count),
+        find_main_refused_sender=lambda sends_frames: None if sender is None else (sender, count),
         refused_frame=b"",
         refused=Counter({} if sender is None else {sender.host: count}),
         frames_port=1511,

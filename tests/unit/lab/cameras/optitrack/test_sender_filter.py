@@ -48,7 +48,7 @@ def test_nothing_is_counted_of_what_is_accepted(senders):
     assert not senders.refused
     assert senders.refused_frame == b""
     for sends_frames in (True, False):
-        assert senders.main_refused_sender(sends_frames=sends_frames) is None
+        assert senders.find_main_refused_sender(sends_frames=sends_frames) is None
 
 
 def test_the_main_refused_sender_is_the_one_of_most_frames_or_answers(senders):
@@ -60,9 +60,9 @@ def test_the_main_refused_sender_is_the_one_of_most_frames_or_answers(senders):
         senders.accept(ANSWER, "10.0.0.5", 4000)
     senders.accept(newest, "10.0.0.4", 4000)
     senders.accept(ANSWER, "10.0.0.4", 4000)
-    sender, count = senders.main_refused_sender(sends_frames=True)
+    sender, count = senders.find_main_refused_sender(sends_frames=True)
     assert (str(sender), count) == ("10.0.0.3:4000", 5)
-    sender, count = senders.main_refused_sender(sends_frames=False)
+    sender, count = senders.find_main_refused_sender(sends_frames=False)
     assert (str(sender), count) == ("10.0.0.5:4000", 9)
     assert senders.refused_frame == newest
 
@@ -72,4 +72,4 @@ def test_forged_senders_do_not_fill_the_memory_and_known_ones_are_still_counted(
         senders.accept(FRAME, "10.0.0.2", port + 1)
     assert len(senders.refused) == REFUSED_SENDERS_MAX
     senders.accept(FRAME, "10.0.0.2", 1)
-    assert senders.main_refused_sender(sends_frames=True)[1] == 2
+    assert senders.find_main_refused_sender(sends_frames=True)[1] == 2

@@ -62,7 +62,7 @@ def kinds(
     """
     if check is None and (sets or spec):
         raise UsageError("--set and --spec can be used only together with --check")
-    return _list(as_json) if check is None else _check(check, spec, sets or [], as_json)
+    return _list_kinds(as_json) if check is None else _check(check, spec, sets or [], as_json)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,25 +84,25 @@ class _ListedKind:
         return f"needs {self.lacks}, which is not installed" if self.lacks else self.broken
 
 
-def _list(as_json: bool) -> int:
+def _list_kinds(as_json: bool) -> int:
     """Print the list of all kinds, and return the exit code."""
 
     registries = all_registries()
-    listed = [_loaded(registry, kind) for registry in registries for kind in registry.kinds()]
+    listed = [_load_kind(registry, kind) for registry in registries for kind in registry.kinds()]
     broken = [row.broken for row in listed if row.broken]
     if as_json:
-        print(format_json({"kinds": [_items(row) for row in listed]}))
+        print(format_json({"kinds": [_convert_to_item(row) for row in listed]}))
     else:
         for row in listed:
-            print(_line(row))
+            print(_format_line(row))
         for registry in registries:
             for name, package in sorted(missing(registry.group, registry.names())):
-                print(_columns(registry, name, package, "[not installed]"))
+                print(_format_columns(registry, name, package, "[not installed]"))
         ui.tell(*(f"error: {problem}" for problem in broken))
     return Exit.USAGE if broken else Exit.DONE
 
 
-def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
+def _load_kind(registry: "Registry", kind: "Kind") -> _ListedKind:
     """Load the code of a kind, and return the kind with its problem, if it has one.
 
     A module that is not installed is no error for a kind of tetractl's own packages. For a kind of
@@ -114,15 +114,15 @@ def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
     except (PluginError, ModuleNotFoundError) as error:
         cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
         module = cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
-        outside = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
-        if outside and kind.package in ("", *BRINGS.values()):
+        is_other_package = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
+        if is_other_package and kind.package in ("", *BRINGS.values()):
             return _ListedKind(registry, kind, lacks=module)
         message = error.message if isinstance(error, PluginError) else str(error)
         return _ListedKind(registry, kind, broken=message)
     return _ListedKind(registry, kind)
 
 
-def _items(row: _ListedKind) -> dict[str, str | None]:
+def _convert_to_item(row: _ListedKind) -> dict[str, str | None]:
     """Return a kind as data for the JSON output."""
     kind = row.kind
     return {
@@ -135,19 +135,19 @@ def _items(row: _ListedKind) -> dict[str, str | None]:
     }
 
 
-def _line(row: _ListedKind) -> str:
+def _format_line(row: _ListedKind) -> str:
     """Return a kind as a line of the printed list."""
     kind = row.kind
-    package = f"{kind.package} {kind.version}" if kind.package else _home(kind)
-    line = _columns(row.registry, kind.name, package, kind.code)
+    package = f"{kind.package} {kind.version}" if kind.package else _name_own_package(kind)
+    line = _format_columns(row.registry, kind.name, package, kind.code)
     return f"{line}  [{row.problem}]" if row.problem else line
 
 
-def _columns(registry: "Registry", name: str, package: str, columns: str) -> str:
+def _format_columns(registry: "Registry", name: str, package: str, columns: str) -> str:
     return f"{registry.what:<17} {name:<19} {package:<22} {columns}"
 
 
-def _home(kind: "Kind") -> str:
+def _name_own_package(kind: "Kind") -> str:
     """Return the package of a kind that names none: tetractl, or one of its own packages."""
     top = kind.code.partition(".")[0]
     return "built in" if top == "tetractl" else f"built in {top.replace('_', '-')}"
@@ -156,7 +156,7 @@ def _home(kind: "Kind") -> str:
 # ---- --check ----
 
 
-def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
+def _load_kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
     """Return the function that checks a motion, camera or other kind that a user has written.
 
     Raises:
@@ -172,16 +172,16 @@ def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
 
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     """Check the kind that `code` names, print each finding, and return the exit code."""
-    check_kind = _kind_check()
+    check_kind = _load_kind_check()
     sys.path.append("")  # modules in this folder, but in place of no other
-    fields = _fields(sets)
-    experiment = _experiment(spec)
+    fields = _parse_fields(sets)
+    experiment = _load_experiment(spec)
     if spec is not None:
-        fields = _fields_of_lab(experiment, code) | fields
+        fields = _read_lab_fields(experiment, code) | fields
     findings = check_kind(code, fields, experiment.setup)
-    wrong = [finding for finding in findings if finding.problem]
+    failed = [finding for finding in findings if finding.problem]
     if as_json:
-        print(format_json({"code": code, "ok": not wrong, "findings": findings}))
+        print(format_json({"code": code, "ok": not failed, "findings": findings}))
     else:
         for finding in findings:
             if finding.problem:
@@ -189,11 +189,11 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
             else:
                 line = f"ok     {finding.what}"
             print(printable(line))
-        print(f"{code}: {len(wrong)} of {len(findings)} checks failed")
-    return Exit.FAILED if wrong else Exit.DONE
+        print(f"{code}: {len(failed)} of {len(findings)} checks failed")
+    return Exit.FAILED if failed else Exit.DONE
 
 
-def _fields(sets: list[str]) -> dict[str, Any]:
+def _parse_fields(sets: list[str]) -> dict[str, Any]:
     """Return the fields of a kind that --set gives, by name."""
     from tetractl.spec.base import with_tuples
     from tetractl.spec.yaml.document import parse_value
@@ -207,7 +207,7 @@ def _fields(sets: list[str]) -> dict[str, Any]:
     return fields
 
 
-def _experiment(spec: Path | None) -> "Experiment":
+def _load_experiment(spec: Path | None) -> "Experiment":
     """Return the experiment whose robots and arena a check uses: a spec's, or that of `init`."""
     from tetractl.spec.load import parse_spec
 
@@ -216,7 +216,7 @@ def _experiment(spec: Path | None) -> "Experiment":
     return parse_spec(build_template("check", "check"), "check").experiment
 
 
-def _fields_of_lab(experiment: "Experiment", code: str) -> dict[str, Any]:
+def _read_lab_fields(experiment: "Experiment", code: str) -> dict[str, Any]:
     """Return the fields of the lab's camera or actuator if `code` names its kind, or none."""
     lab = experiment.lab
     if lab is not None:

@@ -56,17 +56,19 @@ def guard(
     watched: list[tuple[str, GuardReport]] = []
     for path in find_logs(logs):
         log = ui.open_trial(path)
-        watched.append((str(path), observe_log(log, _limits(log, sets or []))))
-    counts = _counts([seen for _, seen in watched])
-    items = {"logs": [_as_item(name, seen) for name, seen in watched], "checks": counts}
+        watched.append((str(path), observe_log(log, _change_limits(log, sets or []))))
+    counts = _count_interventions([seen for _, seen in watched])
+    items = {"logs": [_convert_to_item(name, seen) for name, seen in watched], "checks": counts}
     rows = [
-        _events(name, seen, rows_max) for name, seen in watched if seen.interventions and rows_max
+        _build_event_table(name, seen, rows_max)
+        for name, seen in watched
+        if seen.interventions and rows_max
     ]
-    ui.show(as_json, items, [*rows, _totals(counts, len(watched))])
+    ui.show(as_json, items, [*rows, _build_total_table(counts, len(watched))])
     return Exit.DONE
 
 
-def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
+def _change_limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
     """Return the limits of the guard in a log's lab, with the given changes.
 
     If the log has no lab, the default limits are used.
@@ -83,10 +85,10 @@ def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
 
     values = limits_of(log).model_dump()
     for setting in sets:
-        path, equals, text = setting.partition("=")
+        path, equals, new_value = setting.partition("=")
         if not path.startswith(LIMITS) or not equals:
             raise UsageError(f"--set {setting}: this command accepts only `{LIMITS}NAME=VALUE`")
-        values[path.removeprefix(LIMITS)] = parse_value(text, f"--set {setting}")
+        values[path.removeprefix(LIMITS)] = parse_value(new_value, f"--set {setting}")
     try:
         return LabLimits.model_validate(values)
     except ValidationError as error:
@@ -96,54 +98,59 @@ def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
         raise UsageError(f"--set {path}: {message}") from None
 
 
-def _as_item(name: str, seen: "GuardReport") -> dict[str, Any]:
+def _convert_to_item(name: str, report: "GuardReport") -> dict[str, Any]:
     return {
         "log": name,
-        "watched_s": seen.watched_s,
-        "interventions": [{**asdict(it), "t_s": _seconds(seen, it)} for it in seen.interventions],
+        "watched_s": report.watched_s,
+        "interventions": [
+            {**asdict(event), "t_s": _compute_time_s(report, event)}
+            for event in report.interventions
+        ],
     }
 
 
-def _seconds(seen: "GuardReport", it: "Intervention") -> float:
-    return (it.t_ns - seen.began_ns) / SECOND
+def _compute_time_s(report: "GuardReport", event: "Intervention") -> float:
+    return (event.t_ns - report.began_ns) / SECOND
 
 
-def _events(name: str, seen: "GuardReport", rows_max: int) -> Table:
+def _build_event_table(name: str, report: "GuardReport", rows_max: int) -> Table:
     """Return a table of the first `rows_max` interventions of the guard in a log."""
-    shown = seen.interventions[:rows_max]
+    events = report.interventions[:rows_max]
     columns = (
-        Column("time s", [f"{_seconds(seen, it):.2f}" for it in shown]),
-        Column("check", [it.check for it in shown], words=True),
-        Column("robot", [it.robot for it in shown], words=True),
-        Column("would have", [it.act.value for it in shown], words=True),
-        Column("value", [_number(it, "value") for it in shown]),
-        Column("limit", [_number(it, "limit") for it in shown]),
-        Column("reason", [it.text for it in shown], words=True),
+        Column("time s", [f"{_compute_time_s(report, event):.2f}" for event in events]),
+        Column("check", [event.check for event in events], words=True),
+        Column("robot", [event.robot for event in events], words=True),
+        Column("would have", [event.act.value for event in events], words=True),
+        Column("value", [_format_number(event, "value") for event in events]),
+        Column("limit", [_format_number(event, "limit") for event in events]),
+        Column("reason", [event.text for event in events], words=True),
     )
-    left_out = len(seen.interventions) - len(shown)
+    left_out = len(report.interventions) - len(events)
     note = f"and {left_out} more" if left_out else ""
-    return Table(f"{name}: watched for {seen.watched_s:.1f} s", columns, note)
+    return Table(f"{name}: watched for {report.watched_s:.1f} s", columns, note)
 
 
-def _number(it: "Intervention", which: str) -> str:
+def _format_number(event: "Intervention", field: str) -> str:
     """Return the value of an intervention, or the limit that it exceeded, with its unit."""
-    if it.excess is None:
+    if event.excess is None:
         return ""
-    value = it.excess.value if which == "value" else it.excess.limit
-    return f"{value:.3g} {it.excess.unit}".rstrip()
+    value = event.excess.value if field == "value" else event.excess.limit
+    return f"{value:.3g} {event.excess.unit}".rstrip()
 
 
-def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
+def _count_interventions(reports: "list[GuardReport]") -> list[dict[str, Any]]:
     """Count the interventions of each check, and sum the hours for which the check was active."""
     from tetractl.lab.guard_observer import Action
     from tetractl.verification.guard_replay import KERNEL_CHECKS, WHEEL_CHECKS
 
-    by_check = Counter((it.check, it.act) for one in seen for it in one.interventions)
-    names = dict.fromkeys((*KERNEL_CHECKS, *WHEEL_CHECKS, *(check for check, _ in by_check)))
+    by_check = Counter(
+        (event.check, event.act) for report in reports for event in report.interventions
+    )
+    check_names = dict.fromkeys((*KERNEL_CHECKS, *WHEEL_CHECKS, *(check for check, _ in by_check)))
     rows: list[dict[str, Any]] = []
-    for name in names:
+    for name in check_names:
         is_special = name not in KERNEL_CHECKS + WHEEL_CHECKS
-        watched = [one.watched_s for one in seen if is_special or name in one.checks]
+        watched = [report.watched_s for report in reports if is_special or name in report.checks]
         rows.append(
             {
                 "check": name,
@@ -156,7 +163,7 @@ def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
     return rows
 
 
-def _totals(counts: list[dict[str, Any]], logs: int) -> Table:
+def _build_total_table(counts: list[dict[str, Any]], logs: int) -> Table:
     """Return a table of how often each check of the guard would have acted in a number of logs."""
     columns = (
         Column("check", [row["check"] for row in counts], words=True),

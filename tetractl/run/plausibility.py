@@ -21,7 +21,7 @@ from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
 from tetractl.spec.base import ANGLE
-from tetractl.spec.consistency import Findings, SpecFinding, nearest
+from tetractl.spec.consistency import Findings, SpecFinding, find_nearest
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabSection
 from tetractl.spec.loaded_spec import LoadedSpec
@@ -457,7 +457,7 @@ def too_close(context: CheckContext) -> Findings:
             continue
         least_mm = part.limits.separation_mm
         for field, points in context.ends.items():
-            for i, neighbour, distance in nearest(context.setup, points):
+            for i, neighbour, distance in find_nearest(context.setup, points):
                 if distance < least_mm * per_mm:
                     yield SpecFinding(
                         ("robots", i, field),
@@ -470,7 +470,7 @@ def too_close(context: CheckContext) -> Findings:
 def same_place(context: CheckContext) -> Findings:
     """The first two equal starts, and the first two equal targets."""
     for field, points in context.ends.items():
-        for i, neighbour, distance in nearest(context.setup, points):
+        for i, neighbour, distance in find_nearest(context.setup, points):
             if distance == 0:
                 gap = context.length_text(0.0)
                 text = (
@@ -490,7 +490,7 @@ def targets_near_each_other(context: CheckContext) -> Findings:
         return
     setup = context.setup
     least = kept_apart(context.collision, setup.speed, setup.period_s)
-    for i, neighbour, distance in nearest(setup, setup.targets):
+    for i, neighbour, distance in find_nearest(setup, setup.targets):
         if 0 < distance < least:
             gap = context.length_text(distance)
             yield SpecFinding(

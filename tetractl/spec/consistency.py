@@ -1,9 +1,9 @@
 """Find contradictions between the parts of a spec, even if each part alone is valid.
 
-`errors_of` applies all rules. If a command changes the lab, only the rules of sections are checked
-again (`section_errors`). A spec in a log was written by tetractl, and a trial may have measured its
-starts. Its starts are therefore allowed where a person's spec would be refused. Warnings, which do
-not make a spec invalid, are findings of the same kind; their rules are in
+`find_errors` applies all rules. If a command changes the lab, only the rules of sections are
+checked again (`find_section_errors`). A spec in a log was written by tetractl, and a trial may have
+measured its starts. Its starts are therefore allowed where a person's spec would be refused.
+Warnings, which do not make a spec invalid, are findings of the same kind; their rules are in
 `tetractl.run.plausibility`.
 """
 
@@ -25,7 +25,7 @@ MEMORY_GB = 1.0
 """Maximum memory of a control step [GB]."""
 GB_PER_NUMBER = 8e-9
 """Memory of a number of 64 bits [GB]."""
-ROUNDING = 1e-9
+ROUNDING_MAX = 1e-9
 """Relative difference below which two bodies count as touching instead of overlapping."""
 
 
@@ -48,63 +48,65 @@ class SpecFinding:
 Findings = Iterator[SpecFinding]
 
 
-def errors_of(experiment: Experiment, written: bool) -> Findings:
+def find_errors(experiment: Experiment, written: bool) -> Findings:
     """Yield the errors of a spec. `written` means that tetractl has written it into a log.
 
     The places of robots and obstacles in a written spec are not checked, because a trial may have
     measured them.
     """
-    yield from same_names(experiment)
+    yield from find_same_names(experiment)
     if not written:
-        yield from misplaced(experiment)
-    yield from section_errors(experiment)
+        yield from find_misplaced(experiment)
+    yield from find_section_errors(experiment)
     needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
     if needed_gb > MEMORY_GB:
         message = f"a control step would need about {needed_gb:.3g} GB of memory, more than 1 GB"
         yield SpecFinding(("controller",), f"{message}; use fewer particles, robots or signals")
     if not written:
-        yield from overlapping(experiment)
-        yield from unreachable(experiment)
+        yield from find_overlapping(experiment)
+        yield from find_unreachable(experiment)
 
 
 # rules of robots and obstacles
 
 
-def same_names(experiment: Experiment) -> Findings:
+def find_same_names(experiment: Experiment) -> Findings:
     """Yield a finding for each robot that has the same name as an earlier robot."""
-    first: dict[str, int] = {}
+    first_index: dict[str, int] = {}
     for i, robot in enumerate(experiment.robots):
-        earlier = first.setdefault(robot.name, i)
+        earlier = first_index.setdefault(robot.name, i)
         if earlier != i:
             message = f"is already the name of robots.{earlier}; names must differ"
             yield SpecFinding(("robots", i, "name"), message)
 
 
-def misplaced(experiment: Experiment) -> Findings:
+def find_misplaced(experiment: Experiment) -> Findings:
     """Find starts, targets and way-points outside the arena or in an obstacle.
 
     Obstacles that are entirely outside the arena are also found.
     """
     arena = experiment.arena
-    places = [] if experiment.chosen else _places(experiment.robots)  # others are stand-ins
+    places = [] if experiment.chosen else _list_places(experiment.robots)  # others are stand-ins
     points = np.array([point for _, point in places], dtype=float).reshape(-1, 2)
     with np.errstate(over="ignore", invalid="ignore"):
         shapes = [obstacle.shape() for obstacle in experiment.obstacles]
         inside = [shape.contain(points[:, 0], points[:, 1]) for shape in shapes]
-    for row, (where, point) in enumerate(places):
+    for row, (loc, point) in enumerate(places):
         if not arena.bounds.contains(*point):
-            yield SpecFinding(where, f"is outside the arena; it must be within {_extent(arena)}")
+            yield SpecFinding(
+                loc, f"is outside the arena; it must be within {_describe_extent(arena)}"
+            )
         for j, obstacle in enumerate(experiment.obstacles):
             if inside[j][row]:
                 message = f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
-                yield SpecFinding(where, message)
+                yield SpecFinding(loc, message)
     for j, obstacle in enumerate(experiment.obstacles):
-        if not _touches(arena, obstacle):
-            message = f"is entirely outside the arena, which is {_extent(arena)}"
+        if not _touches_arena(arena, obstacle):
+            message = f"is entirely outside the arena, which is {_describe_extent(arena)}"
             yield SpecFinding(("obstacles", j), message)
 
 
-def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
+def _list_places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
     """Return the location in the spec and the coordinates of every start, target and way-point.
 
     They are listed robot by robot. Coordinates are in the spec's length unit.
@@ -118,13 +120,13 @@ def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
     return places
 
 
-def _extent(arena: Arena) -> str:
+def _describe_extent(arena: Arena) -> str:
     """Describe the bounds of the arena for a message, as numbers without a unit."""
     bounds = arena.bounds
     return f"x {bounds.left:g} to {bounds.right:g}, y {bounds.bottom:g} to {bounds.top:g}"
 
 
-def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
+def _touches_arena(arena: Arena, obstacle: ShapeSection) -> bool:
     """Check whether an obstacle meets the arena's edge or has a corner inside the arena.
 
     The points of its outline count as corners, also those of a circle.
@@ -145,7 +147,7 @@ def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
 # rules of sections
 
 
-def section_errors(experiment: Experiment) -> Findings:
+def find_section_errors(experiment: Experiment) -> Findings:
     """Find contradictions between the sections of controller, plant and lab.
 
     A controller that switches the field off needs a plant that can do so. A spec with way-points or
@@ -176,7 +178,7 @@ def section_errors(experiment: Experiment) -> Findings:
 # rules of places
 
 
-def overlapping(experiment: Experiment) -> Findings:
+def find_overlapping(experiment: Experiment) -> Findings:
     """Find robots whose bodies overlap their nearest earlier robot at a start, way-point or target.
 
     Bodies that touch do not overlap. Nothing is found if each trial chooses its robots, because
@@ -186,24 +188,24 @@ def overlapping(experiment: Experiment) -> Findings:
         return
     setup = experiment.setup
     radius = experiment.controller.body_radius
-    touching = 2 * radius * (1 - ROUNDING)
+    touching = 2 * radius * (1 - ROUNDING_MAX)
     places: list[tuple[Loc, str, Floats]] = [(("start",), "start", setup.starts.xy)]
     for leg, points in enumerate(setup.legs[:-1]):
         places.append((("via", leg), "way-point", points))
     places.append((("target",), "target", setup.targets))
-    for where, word, points in places:
-        for i, neighbour, distance in nearest(setup, points):
+    for loc, place_name, points in places:
+        for i, neighbour, distance in find_nearest(setup, points):
             if distance < touching:
                 message = f"bodies of radius {radius:g} overlap; move one of them"
-                place = f"is {distance:.4g} {setup.unit} from the {word}"
-                yield SpecFinding(("robots", i, *where), f"{place} of {neighbour}: {message}")
+                distance_text = f"is {distance:.4g} {setup.unit} from the {place_name}"
+                yield SpecFinding(("robots", i, *loc), f"{distance_text} of {neighbour}: {message}")
 
 
-def unreachable(experiment: Experiment) -> Findings:
+def find_unreachable(experiment: Experiment) -> Findings:
     """Find targets where a robot's body would be in an obstacle or over the arena's edge.
 
     The edge counts only if plans keep a distance to walls. If the target itself is in an obstacle
-    or outside the arena, `misplaced` alone reports it.
+    or outside the arena, `find_misplaced` alone reports it.
     """
     control = experiment.controller
     if not isinstance(control, KeepsClear) or experiment.chosen is not None:
@@ -218,12 +220,12 @@ def unreachable(experiment: Experiment) -> Findings:
     keeps_to_walls = control.collision.walls
     nearest_gap = np.minimum(to_obstacle, to_edge) if keeps_to_walls else to_obstacle
     for i in np.flatnonzero(well_placed & (nearest_gap < setup.body_radius)).tolist():
-        place = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
+        distance_text = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
         message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
-        yield SpecFinding(("robots", i, "target"), f"{place}: {message}")
+        yield SpecFinding(("robots", i, "target"), f"{distance_text}: {message}")
 
 
-def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
+def find_nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
     """Find the nearest earlier robot to each robot except the first.
 
     Args:
@@ -236,5 +238,5 @@ def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
     """
     for i in range(1, len(points)):
         gaps = elementwise.hypot(*(points[:i] - points[i]).T)
-        k = int(gaps.argmin())
-        yield i, setup.names[k], float(gaps[k])
+        closest = int(gaps.argmin())
+        yield i, setup.names[closest], float(gaps[closest])

@@ -27,7 +27,7 @@ import numpy as np
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
 from tetractl.spec.base import validated
-from tetractl.spec.consistency import errors_of
+from tetractl.spec.consistency import find_errors
 from tetractl.spec.controller import ControllerSection, NamedFile
 from tetractl.spec.experiment import DEFAULT_CONTROLLER, Experiment
 from tetractl.spec.loaded_spec import Attached, LoadedSpec, attach
@@ -286,7 +286,7 @@ def validated_experiment(document: Document, written: bool) -> Experiment:
     """
     experiment = validated(Experiment, document)
     with np.errstate(all="ignore"):  # numbers at the end of floating point are compared as inf
-        for error in errors_of(experiment, written):
+        for error in find_errors(experiment, written):
             document.refuse(error.where, str(error))
     document.require_no_problems()
     return experiment

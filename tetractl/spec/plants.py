@@ -17,7 +17,7 @@ from tetractl.core.errors import SpecError, UsageError, printable
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import PLANTS
 from tetractl.spec.base import Model, validated
-from tetractl.spec.consistency import section_errors
+from tetractl.spec.consistency import find_section_errors
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabSection
 from tetractl.spec.loaded_spec import LoadedSpec, attach
@@ -84,7 +84,7 @@ def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True
     lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
     in_lab = experiment.model_copy(update={"plant": lab, "lab": None})
     loaded = replace(loaded, experiment=in_lab)
-    for error in section_errors(loaded.experiment):
+    for error in find_section_errors(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(error.where)} {error}")
     if lab.calibration is None or not with_calibration:
         return loaded
@@ -192,7 +192,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
             if value != {} or loc[-1] not in merged.holder(loc):
                 merged.put(loc, value, place)
     updated = validated(Experiment, merged)
-    for error in section_errors(updated):
+    for error in find_section_errors(updated):
         raise SpecError(
             f"{origin}: if this calibration is applied, the field {dotted(error.where)} {error}"
         )

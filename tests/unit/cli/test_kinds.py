@@ -8,7 +8,7 @@ import pytest
 from testkit.paths import ROOT
 
 from tetractl.cli import kinds as module
-from tetractl.cli.kinds import _fields, _fields_of_lab, _line, _loaded, kinds
+from tetractl.cli.kinds import _format_line, _load_kind, _parse_fields, _read_lab_fields, kinds
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registry import Kind, PluginError
 from tetractl.spec.load import load_spec
@@ -49,7 +49,7 @@ def plugin_error(cause=None):
 
 def problem(kind, error):
     """What a kind lacks, and why it is broken."""
-    row = _loaded(registry_of(kind, raises={kind.name: error} if error else None), kind)
+    row = _load_kind(registry_of(kind, raises={kind.name: error} if error else None), kind)
     return row.lacks, row.broken
 
 
@@ -139,7 +139,7 @@ def test_json_holds_the_same(monkeypatch, capsys):
 
 def test_a_built_in_kind_of_one_of_our_packages_names_this():
     kind = Kind("x", "tetractl_emulator.x:X")
-    line = _line(_loaded(registry_of(kind), kind))
+    line = _format_line(_load_kind(registry_of(kind), kind))
     assert "built in tetractl-emulator" in line
 
 
@@ -153,14 +153,14 @@ def test_fields_and_a_spec_need_a_check(options):
 
 
 def test_fields_are_yaml():
-    fields = _fields(["radius=5", "center=[1, 2]", "name='5'", "text=a=b"])
+    fields = _parse_fields(["radius=5", "center=[1, 2]", "name='5'", "text=a=b"])
     assert fields == {"radius": 5, "center": (1, 2), "name": "5", "text": "a=b"}
 
 
 @pytest.mark.parametrize("setting", ["radius", "=5", ""])
 def test_a_field_needs_a_name_and_a_value(setting):
     with pytest.raises(UsageError, match="write it as FIELD=VALUE"):
-        _fields([setting])
+        _parse_fields([setting])
 
 
 LAB = ROOT / "experiments/three_m3pi_lab.yaml"
@@ -171,10 +171,10 @@ def test_the_fields_of_a_lab_are_those_of_the_checked_device():
     camera, actuator = experiment.lab.camera, experiment.lab.actuator
     for section in (camera, actuator):
         code = f"{type(section).__module__}:{type(section).__qualname__}"
-        assert _fields_of_lab(experiment, code) == dict(section)
-    assert _fields_of_lab(experiment, "mine:Camera") == {}
+        assert _read_lab_fields(experiment, code) == dict(section)
+    assert _read_lab_fields(experiment, "mine:Camera") == {}
     without = experiment.model_copy(update={"lab": None})
-    assert _fields_of_lab(without, "mine:Camera") == {}
+    assert _read_lab_fields(without, "mine:Camera") == {}
 
 
 @dataclass
@@ -200,7 +200,7 @@ def path(monkeypatch):
 
 
 def check(monkeypatch, capsys, checked, **options):
-    monkeypatch.setattr(module, "_kind_check", lambda: checked)
+    monkeypatch.setattr(module, "_load_kind_check", lambda: checked)
     code = kinds(check="mine:Kind", **options)
     return code, capsys.readouterr().out
 
@@ -235,7 +235,7 @@ def test_a_check_gets_the_fields_and_robots_of_a_spec(monkeypatch, capsys):
 def test_a_set_field_replaces_that_of_the_spec(monkeypatch, capsys, path):
     camera = load_spec(LAB).experiment.lab.camera
     checked = Checked("")
-    monkeypatch.setattr(module, "_kind_check", lambda: checked)
+    monkeypatch.setattr(module, "_load_kind_check", lambda: checked)
     code = f"{type(camera).__module__}:{type(camera).__qualname__}"
     kinds(check=code, spec=LAB, sets=["latency=0.5"])
     _, fields, _ = checked.asked

@@ -12,12 +12,12 @@ from testkit.paths import ROOT
 
 from tetractl.spec.consistency import (
     SpecFinding,
-    errors_of,
-    nearest,
-    overlapping,
-    same_names,
-    section_errors,
-    unreachable,
+    find_errors,
+    find_nearest,
+    find_overlapping,
+    find_same_names,
+    find_section_errors,
+    find_unreachable,
 )
 from tetractl.spec.load import load_spec, parse_contents, parse_written
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -193,7 +193,7 @@ SETUP = parse_contents(CONTENTS, "s.yaml").experiment.setup
 @given(st.integers(0, 10_000))
 def test_the_nearest_earlier_robot_is_the_one_of_a_search_through_all(seed):
     points = np.random.default_rng(seed).uniform(-50, 50, (3, 2))
-    found = list(nearest(SETUP, points))
+    found = list(find_nearest(SETUP, points))
     assert [i for i, _, _ in found] == [1, 2]
     for i, name, distance in found:
         gaps = {SETUP.names[k]: float(np.linalg.norm(points[k] - points[i])) for k in range(i)}
@@ -279,7 +279,7 @@ def test_only_a_field_that_is_switched_needs_a_plant_that_switches_it(by_control
     experiment = parse_contents(CONTENTS, "s.yaml").experiment
     controller = type("C", (type(experiment.controller),), {"switches_field": by_controller})()
     plant = type("P", (type(experiment.plant),), {"switches_field": by_plant})()
-    found = list(section_errors(changed(experiment, controller=controller, plant=plant)))
+    found = list(find_section_errors(changed(experiment, controller=controller, plant=plant)))
     places = [finding.where for finding in found]
     assert places == ([("plant",)] if by_controller and not by_plant else [])
 
@@ -293,7 +293,7 @@ def test_contradictions_of_each_section_are_placed_in_it():
     wrong = {"contradictions": contradictions}
     controller = type("C", (type(experiment.controller),), wrong)()
     plant = type("P", (type(experiment.plant),), wrong)()
-    found = list(section_errors(changed(experiment, controller=controller, plant=plant)))
+    found = list(find_section_errors(changed(experiment, controller=controller, plant=plant)))
     assert [finding.where for finding in found] == [
         ("controller", "inner", 1),
         ("plant", "inner", 1),
@@ -311,7 +311,7 @@ def test_a_control_step_may_hold_one_gigabyte_of_numbers(numbers, is_refused):
     experiment = parse_contents(CONTENTS, "s.yaml").experiment
     held = {"numbers_held": lambda self, setup: numbers}
     controller = type("C", (type(experiment.controller),), held)()
-    found = list(errors_of(changed(experiment, controller=controller), written=True))
+    found = list(find_errors(changed(experiment, controller=controller), written=True))
     assert [finding.where for finding in found] == ([("controller",)] if is_refused else [])
     if is_refused:
         assert "about 1.01 GB of memory, more than 1 GB" in found[0].text
@@ -334,7 +334,7 @@ def test_the_places_in_a_log_are_not_checked_but_its_names_and_sections_are():
 
 def test_each_rule_alone_finds_nothing_in_a_valid_spec():
     experiment = parse_contents(contents(controller=BODIES, obstacles=[BOX]), "s").experiment
-    for rule in (same_names, section_errors, overlapping, unreachable):
+    for rule in (find_same_names, find_section_errors, find_overlapping, find_unreachable):
         assert list(rule(experiment)) == []
 
 
@@ -351,14 +351,14 @@ LAB = ROOT / "experiments/three_m3pi_lab.yaml"
 
 def test_a_lab_must_be_able_to_choose_robots_only_if_trials_find_theirs(monkeypatch):
     experiment = load_spec(LAB).experiment
-    assert list(section_errors(experiment)) == []
+    assert list(find_section_errors(experiment)) == []
     chosen = MarkedRobots(marks=((900, 800),))
-    findings = list(section_errors(experiment.model_copy(update={"chosen": chosen})))
+    findings = list(find_section_errors(experiment.model_copy(update={"chosen": chosen})))
     assert [finding.where for finding in findings] == [("lab", "camera"), ("lab", "actuator")]
     assert "optitrack cannot choose the robots of a trial" in findings[0].text
     for device in (type(experiment.lab.camera), type(experiment.lab.actuator)):
         monkeypatch.setattr(device, "settles", True)
-    assert list(section_errors(experiment.model_copy(update={"chosen": chosen}))) == []
+    assert list(find_section_errors(experiment.model_copy(update={"chosen": chosen}))) == []
 
 
 def test_the_places_of_stand_ins_are_not_checked():
@@ -375,6 +375,6 @@ def test_the_places_of_stand_ins_are_not_checked():
     placed = experiment.model_copy(
         update={"robots": robots, "obstacles": (around,), "controller": controller}
     )
-    assert list(errors_of(placed, written=False)) != []
+    assert list(find_errors(placed, written=False)) != []
     chosen = MarkedRobots(marks=((0, 0),))
-    assert list(errors_of(placed.model_copy(update={"chosen": chosen}), written=False)) == []
+    assert list(find_errors(placed.model_copy(update={"chosen": chosen}), written=False)) == []

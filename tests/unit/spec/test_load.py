@@ -334,7 +334,7 @@ def hash_of(text, *sets):
 def test_the_hint_of_an_error_is_printed(monkeypatch):
     """Regression: only that of a warning was."""
     finding = SpecFinding(("robots", 0, "speed"), "is odd", "choose another")
-    monkeypatch.setattr("tetractl.spec.load.errors_of", lambda *_: [finding])
+    monkeypatch.setattr("tetractl.spec.load.find_errors", lambda *_: [finding])
     said = r"robots\.0\.speed: [0-9.]+: is odd; choose another$"
     with pytest.raises(InvalidSpecError, match=said):
         load_spec(ROOT / "experiments/three_m3pi.yaml")

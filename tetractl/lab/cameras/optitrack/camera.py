@@ -148,9 +148,9 @@ class OptitrackCamera:
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
         self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)
         if stream.up is None:
-            raise diagnosis.no_up_axis(stream)
+            raise diagnosis.create_up_axis_error(stream)
         if stream.model is None and any(isinstance(robot.body, str) for robot in stream.robots):
-            raise diagnosis.no_names(stream, timeout_s)
+            raise diagnosis.create_names_error(stream, timeout_s)
         if self.stream.sync is not None:
             self._wait(lambda: self._asked["echo"] >= FIRST_ECHOES, timeout_s)
         first = self.stream.counts.frames
@@ -179,8 +179,8 @@ class OptitrackCamera:
         """Check the stream, for example whether all bodies are streamed; see `Device.check`."""
         stream = self.stream
         sync = self.stream.sync
-        problems = diagnosis.not_streamed(stream, self.names)
-        warnings = diagnosis.not_taken(self.senders, stream)
+        problems = diagnosis.describe_missing_bodies(stream, self.names)
+        warnings = diagnosis.describe_dropped_datagrams(self.senders, stream)
         round_trip = "unknown"
         if sync is not None and sync.synced:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
@@ -200,7 +200,7 @@ class OptitrackCamera:
         facts = {
             "natnet": str(version),
             "server": server,
-            "rigid_bodies": diagnosis.bodies(stream),
+            "rigid_bodies": diagnosis.list_bodies(stream),
             "clock_round_trip_ms": round_trip,
         }
         return Health(tuple(problems), tuple(warnings), facts, emulated=EMULATED_NAME in server)

@@ -9,7 +9,7 @@ from tetractl.lab.cameras.optitrack.stream import Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.spec.yaml.problems import SHOWN_LENGTH, did_you_mean
 
-SHOWN = 12  # largest number of rigid bodies listed in a message
+BODIES_SHOWN_MAX = 12  # largest number of rigid bodies listed in a message
 
 
 def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float) -> AbortError:
@@ -51,7 +51,7 @@ def no_frames(
     refused = senders.find_main_refused_sender(sends_frames=True)
     if refused is not None and not stream.counts.unread_frames:
         sender, count = refused
-        fits = _reads_as(senders.refused_frame, stream)
+        fits = _find_fitting_protocol(senders.refused_frame, stream)
         came = f"{count} frames came from {sender} within {timeout_s:g} s, and they fit {fits}"
         if sender.host != section.server:
             return AbortError(
@@ -65,7 +65,7 @@ def no_frames(
             f"set the data port in Motive to {sender.port}; or does a second program stream to it?",
         )
     if stream.counts.unread_frames:
-        return _unread(server, stream, timeout_s)
+        return _create_unread_error(server, stream, timeout_s)
     return AbortError(
         f"{server}, but no frames came within {timeout_s:g} s",
         f"does Motive stream in {section.transport}? Multicast frames come from "
@@ -74,15 +74,17 @@ def no_frames(
     )
 
 
-def _unread(server: str, stream: Stream, timeout_s: float) -> AbortError:
+def _create_unread_error(server: str, stream: Stream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
     server_version = stream.info.version
-    fits = _reads_as(stream.unread_frame, stream)
-    came = f"{stream.counts.unread_frames} frames came within {timeout_s:g} s, and they fit {fits}"
+    protocol = _find_fitting_protocol(stream.unread_frame, stream)
+    frames_text = (
+        f"{stream.counts.unread_frames} frames came within {timeout_s:g} s, and they fit {protocol}"
+    )
     if stream.version != server_version:
         return AbortError(
             f"{server}, but its frames do not follow protocol {stream.version}, which "
-            f"lab.camera.version requests: {came}",
+            f"lab.camera.version requests: {frames_text}",
             f"remove lab.camera.version, because the server uses its own version, {server_version}",
         )
     if server_version > natnet.NEWEST:
@@ -93,12 +95,13 @@ def _unread(server: str, stream: Stream, timeout_s: float) -> AbortError:
             "otherwise restart Motive"
         )
     return AbortError(
-        f"{server} and reports protocol {server_version}, but its frames cannot be read: {came}",
+        f"{server} and reports protocol {server_version}, but its frames cannot be read: "
+        f"{frames_text}",
         hint,
     )
 
 
-def _reads_as(frame: bytes, stream: Stream) -> str:
+def _find_fitting_protocol(frame: bytes, stream: Stream) -> str:
     """Find a protocol version that fits the layout of a frame, and return it as text.
 
     The server's own version is tried first.
@@ -113,7 +116,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     return "no known protocol"
 
 
-def no_up_axis(stream: Stream) -> AbortError:
+def create_up_axis_error(stream: Stream) -> AbortError:
     """Create the error for a server whose vertical axis is unknown or cannot be used."""
     if stream.up_answer is None:
         return AbortError(
@@ -127,39 +130,44 @@ def no_up_axis(stream: Stream) -> AbortError:
     )
 
 
-def no_names(stream: Stream, timeout_s: float) -> AbortError:
+def create_names_error(stream: Stream, timeout_s: float) -> AbortError:
     """Create the error for a server that reports no names although the spec names bodies."""
     if stream.counts.unread_models:
-        said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
+        problem = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:
-        said = f"it did not answer a request for its rigid bodies within {timeout_s:g} s"
-    wanted = ", ".join(f"'{r.body}'" for r in stream.robots if isinstance(r.body, str))
-    streamed = ", ".join(map(str, stream.seen[:SHOWN])) or "none"
+        problem = f"it did not answer a request for its rigid bodies within {timeout_s:g} s"
+    names = ", ".join(f"'{robot.body}'" for robot in stream.robots if isinstance(robot.body, str))
+    streamed_ids = ", ".join(map(str, stream.seen[:BODIES_SHOWN_MAX])) or "none"
     return AbortError(
-        f"the names {wanted} cannot be found: the camera server streams frames, but {said}",
+        f"the names {names} cannot be found: the camera server streams frames, but {problem}",
         "use ids instead of names, as in lab.camera.robots.0.body; the frames contain the "
-        f"ids {streamed}",
+        f"ids {streamed_ids}",
     )
 
 
-def bodies(stream: Stream) -> str:
+def list_bodies(stream: Stream) -> str:
     """Return a line that lists the rigid bodies that the server has named or streamed.
 
     It is "none" if there are none. At most SHOWN bodies are listed.
     """
-    named = {} if stream.model is None else {number: name for name, number in stream.model.bodies}
-    numbers = tuple(dict.fromkeys((*named, *stream.seen)))
-    listed = [_body(number, named.get(number), number in stream.seen) for number in numbers[:SHOWN]]
-    more = [f"{len(numbers) - SHOWN} more"] if len(numbers) > SHOWN else []
-    return "; ".join((*listed, *more)) or "none"
+    names_by_id = (
+        {} if stream.model is None else {number: name for name, number in stream.model.bodies}
+    )
+    numbers = tuple(dict.fromkeys((*names_by_id, *stream.seen)))
+    listed = [
+        _describe_body(number, names_by_id.get(number), number in stream.seen)
+        for number in numbers[:BODIES_SHOWN_MAX]
+    ]
+    omitted = [f"{len(numbers) - BODIES_SHOWN_MAX} more"] if len(numbers) > BODIES_SHOWN_MAX else []
+    return "; ".join((*listed, *omitted)) or "none"
 
 
-def _body(number: int, name: str | None, streamed: bool) -> str:
+def _describe_body(number: int, name: str | None, streamed: bool) -> str:
     body = f"id {number}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {number})"
     return body if streamed else f"{body}, not streamed"
 
 
-def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
+def describe_missing_bodies(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """Describe each robot whose rigid body is missing from the newest frame, one line each.
 
     A line states whether the server has the body (if not, the most similar name or id), and which
@@ -168,44 +176,54 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """
     if stream.model is None or not (missing := stream.missing()):
         return []
-    pairs = zip(names, stream.robots, strict=True)
-    lines = [_lacking(stream, stream.model, *pair) for pair in pairs if pair[1].body in missing]
+    named_robots = zip(names, stream.robots, strict=True)
+    problems = [
+        _describe_missing_body(stream, stream.model, *named_robot)
+        for named_robot in named_robots
+        if named_robot[1].body in missing
+    ]
     if not stream.model.complete:
-        lines.append("the list of the cameras' rigid bodies could not be read completely: use ids")
-    return lines
+        problems.append(
+            "the list of the cameras' rigid bodies could not be read completely: use ids"
+        )
+    return problems
 
 
-def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRobot) -> str:
+def _describe_missing_body(
+    stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRobot
+) -> str:
     body = robot.body
     ids = model.ids()
     if isinstance(body, str):
-        wanted = f"rigid body '{body}' for {name}"
-        taken = {robot.body for robot in stream.robots}
-        free = [printable(body_name, SHOWN_LENGTH) for body_name in ids if body_name not in taken]
-        near = did_you_mean(body, free)
+        description = f"rigid body '{body}' for {name}"
+        assigned = {robot.body for robot in stream.robots}
+        unassigned = [
+            printable(body_name, SHOWN_LENGTH) for body_name in ids if body_name not in assigned
+        ]
+        suggestion = did_you_mean(body, unassigned)
     else:
-        wanted = f"rigid body with id {body} for {name}"
+        description = f"rigid body with id {body} for {name}"
         closest = min(stream.seen, key=lambda number: abs(number - body), default=None)
-        near = "" if closest is None else f"; the nearest id is {closest}"
+        suggestion = "" if closest is None else f"; the nearest id is {closest}"
     if body in ids or body in ids.values():
-        why = f"do not stream the {wanted}: switch it on in Motive"
+        problem = f"do not stream the {description}: switch it on in Motive"
     else:
-        why = f"know no {wanted}{near}"
-    return f"the cameras {why}; they have {bodies(stream)}"
+        problem = f"know no {description}{suggestion}"
+    return f"the cameras {problem}; they have {list_bodies(stream)}"
 
 
-def not_taken(senders: SenderFilter, stream: Stream) -> list[str]:
+def describe_dropped_datagrams(senders: SenderFilter, stream: Stream) -> list[str]:
     """Return warnings about dropped datagrams, one line each. Empty if none was dropped.
 
     They came from unknown senders, or were answers without a request.
     """
-    lines: list[str] = []
+    warnings: list[str] = []
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]
-        lines.append(
+        warnings.append(
             f"{senders.refused.total()} datagrams did not come from the camera server and "
             f"were dropped; most came from {sender}"
         )
     if stream.counts.unasked:
-        lines.append(f"{stream.counts.unasked} answers came without a request and were dropped")
-    return lines
+        warnings.append(f"{stream.counts.unasked} answers came without a request and were dropped")
+    return warnings

@@ -142,7 +142,7 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     if answer is not None:
         stream.asked(natnet.NatNetRequest(UP_AXIS_SETTING))
         stream.feed(answer_of("<i", answer), 0)
-    error = diagnosis.no_up_axis(stream)
+    error = diagnosis.create_up_axis_error(stream)
     assert stream.up is None
     assert says in str(error)
     assert error.hint.startswith(hint)

@@ -94,7 +94,7 @@ def test_frames_of_the_server_that_cannot_be_read_matter_more_than_those_of_othe
     ("answer", "says"), [(None, "does not report"), (0, "up axis is x"), (7, "of number 7")]
 )
 def test_an_axis_that_cannot_be_up_is_named(answer, says):
-    assert says in diagnosis.no_up_axis(stream(up_answer=answer)).message
+    assert says in diagnosis.create_up_axis_error(stream(up_answer=answer)).message
 
 
 @pytest.mark.parametrize(("unread", "says"), [(0, "did not answer a request"), (2, "cannot be")])
@@ -102,25 +102,29 @@ def test_bodies_whose_names_are_unknown_are_wanted_by_name(unread, says):
     asked = stream(
         counts=StreamCounts(unread_models=unread), robots=robots("green", 4), seen=(3, 4)
     )
-    error = diagnosis.no_names(asked, 1.0)
+    error = diagnosis.create_names_error(asked, 1.0)
     assert "'green'" in error.message
     assert says in error.message
     assert error.hint.endswith("3, 4")
 
 
-@pytest.mark.parametrize("count", [0, 1, diagnosis.SHOWN, diagnosis.SHOWN + 1, 40])
+@pytest.mark.parametrize(
+    "count", [0, 1, diagnosis.BODIES_SHOWN_MAX, diagnosis.BODIES_SHOWN_MAX + 1, 40]
+)
 def test_at_most_some_bodies_are_listed_and_the_rest_counted(count):
-    listed = diagnosis.bodies(stream(seen=tuple(range(count)))).split("; ")
+    listed = diagnosis.list_bodies(stream(seen=tuple(range(count)))).split("; ")
     if count == 0:
         assert listed == ["none"]
     else:
         assert listed[0] == "id 0"
-        assert len(listed) == min(count, diagnosis.SHOWN + 1)
-        assert (f"{count - diagnosis.SHOWN} more" == listed[-1]) == (count > diagnosis.SHOWN)
+        assert len(listed) == min(count, diagnosis.BODIES_SHOWN_MAX + 1)
+        assert (f"{count - diagnosis.BODIES_SHOWN_MAX} more" == listed[-1]) == (
+            count > diagnosis.BODIES_SHOWN_MAX
+        )
 
 
 def test_a_body_is_listed_with_its_name_and_whether_it_is_streamed():
-    line = diagnosis.bodies(stream(model=model("green", "blue"), seen=(2, 9)))
+    line = diagnosis.list_bodies(stream(model=model("green", "blue"), seen=(2, 9)))
     assert line == "'green' (id 1), not streamed; 'blue' (id 2); id 9"
 
 
@@ -131,7 +135,7 @@ def missing_of(*wanted, seen, complete=True):
     ids = known.ids()
     missing = [body for body in wanted if ids.get(body, body) not in seen]
     made = stream(model=known, seen=seen, robots=of_robots, missing=lambda: missing)
-    return diagnosis.not_streamed(made, tuple(f"robot {body}" for body in wanted))
+    return diagnosis.describe_missing_bodies(made, tuple(f"robot {body}" for body in wanted))
 
 
 def test_only_a_robot_whose_body_is_not_streamed_is_named():
@@ -156,13 +160,15 @@ def test_a_list_of_bodies_that_is_cut_off_is_told():
 
 
 def test_before_the_list_of_bodies_has_come_none_is_missing():
-    assert diagnosis.not_streamed(stream(model=None), ()) == []
+    assert diagnosis.describe_missing_bodies(stream(model=None), ()) == []
 
 
 def test_dropped_datagrams_are_told_and_nothing_if_none_was_dropped():
-    assert diagnosis.not_taken(senders(), stream()) == []
-    (line,) = diagnosis.not_taken(senders(ELSEWHERE), stream())
+    assert diagnosis.describe_dropped_datagrams(senders(), stream()) == []
+    (line,) = diagnosis.describe_dropped_datagrams(senders(ELSEWHERE), stream())
     assert line.startswith("5 datagrams")
     assert "10.0.0.9" in line
-    (line,) = diagnosis.not_taken(senders(), stream(counts=StreamCounts(unasked=4)))
+    (line,) = diagnosis.describe_dropped_datagrams(
+        senders(), stream(counts=StreamCounts(unasked=4))
+    )
     assert line.startswith("4 answers")

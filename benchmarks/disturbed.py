@@ -13,7 +13,7 @@ differences between each row and the first one. Plants come from `benchmarks/wor
 
 import argparse
 
-from solverbench.report import load, progress
+from solverbench.report import describe_load, print_progress
 from worlds.trials import HEAD, PAIRS_HEAD, Task, line, pair_line, run
 
 TOLD = "controller.dead_time=0.06"  # of the bench [s]
@@ -102,10 +102,11 @@ def main() -> None:
     rows = PARTS[chosen.part]
     if chosen.only not in (None, *rows):
         parser.error(f"--only: no row {chosen.only!r} of the part {chosen.part}")
-    print(f"Simulated, {chosen.trials} trials a row, seed {chosen.seed}. {load()}.\n\n{HEAD}")
+    print(f"Simulated, {chosen.trials} trials a row, seed {chosen.seed}. {describe_load()}.\n")
+    print(HEAD)
     trials = {}
     for name in rows if chosen.only is None else [chosen.only]:
-        progress(name)
+        print_progress(name)
         tasks = [Task(chosen.seed, rows[name], trial) for trial in range(chosen.trials)]
         trials[name] = [run(task) for task in tasks]
         print(line(name, trials[name]), flush=True)

@@ -27,8 +27,9 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "tests"))
 
-HANG_S = 120  # on a busy host a report takes half a minute
-FUZZED = [
+HANG_S = 120
+"""Time after which a parser has hung [s]. On a busy host, a report alone takes half a minute."""
+INSTRUMENTED_MODULES = [
     "tetractl.spec",
     "tetractl.lab",
     "tetractl.log",
@@ -38,8 +39,8 @@ FUZZED = [
 ]
 
 
-def known() -> dict[str, Any]:
-    """Return the parsers of the core and of the installed packages."""
+def all_targets() -> dict[str, Any]:
+    """Collect the parsers of the core and of the installed packages, by name."""
     from testkit import targets
     from testkit.emulator import wire_targets
 
@@ -51,37 +52,37 @@ def known() -> dict[str, Any]:
     return found_targets
 
 
-class Fuzz:
+class Fuzzer:
     """Feeds inputs to one target until its time is over, and counts them."""
 
-    def __init__(self, run: Any, seconds: float, keep: Path) -> None:
+    def __init__(self, run: Any, seconds: float, folder: Path) -> None:
         self.runs = 0
-        self.crashes: dict[str, str] = {}  # by place, so that one bug counts once
+        self.crashes: dict[str, str] = {}  # messages by location, so that one bug counts once
         self._run = run
-        self._keep = keep
-        self._until = time.perf_counter() + seconds
-        self._armed = 0.0
+        self._folder_of_crashes = folder
+        self._until_s = time.perf_counter() + seconds
+        self._armed_s = 0.0
 
     def __call__(self, data: bytes) -> None:
-        began = time.perf_counter()
-        if began > self._until:
+        now_s = time.perf_counter()
+        if now_s > self._until_s:
             self.finish()
-        if began > self._armed + 1:
+        if now_s > self._armed_s + 1:
             faulthandler.dump_traceback_later(HANG_S, exit=True)
-            self._armed = began
+            self._armed_s = now_s
         try:
             self._run(data)
         except Exception as error:
-            self._crashed(error, data)
+            self._record_crash(error, data)
         self.runs += 1
 
-    def _crashed(self, error: Exception, data: bytes) -> None:
+    def _record_crash(self, error: Exception, data: bytes) -> None:
         last = traceback.extract_tb(error.__traceback__)[-1]
-        place = f"{type(error).__name__} at {Path(last.filename).name}:{last.lineno}"
-        if place not in self.crashes:
-            self.crashes[place] = str(error)[:200]
+        location = f"{type(error).__name__} at {Path(last.filename).name}:{last.lineno}"
+        if location not in self.crashes:
+            self.crashes[location] = str(error)[:200]
             name = f"crash-{hashlib.sha256(data).hexdigest()[:12]}"
-            (self._keep / name).write_bytes(data)
+            (self._folder_of_crashes / name).write_bytes(data)
             traceback.print_exception(error)
 
     def finish(self) -> None:
@@ -90,38 +91,51 @@ class Fuzz:
         os._exit(0)
 
 
-def child(name: str, seconds: float, seed: int, keep: Path) -> None:
+def fuzz_here(name: str, seconds: float, seed: int, folder_of_crashes: Path) -> None:
     """Fuzz one target in this process."""
     atheris: Any = None
     if find_spec("atheris"):
         import atheris
-    with atheris.instrument_imports(include=FUZZED) if atheris else nullcontext():
+    with atheris.instrument_imports(include=INSTRUMENTED_MODULES) if atheris else nullcontext():
         from testkit.targets import mutant
 
-        target = known()[name]
+        target = all_targets()[name]
     seeds = target.seeds()
     for data in seeds:
         target.run(data)
-    fuzz = Fuzz(target.run, seconds, keep)
+    fuzz = Fuzzer(target.run, seconds, folder_of_crashes)
     if atheris:
         corpus = Path(tempfile.mkdtemp())
         for i, data in enumerate(seeds):
             (corpus / str(i)).write_bytes(data)
         longest = max(1024, 2 * max(map(len, seeds)))
         options = [f"-seed={seed + 1}", f"-max_len={longest}", f"-timeout={HANG_S}", "-verbosity=0"]
-        atheris.Setup([sys.argv[0], *options, f"-artifact_prefix={keep}/", str(corpus)], fuzz)
+        atheris.Setup(
+            [sys.argv[0], *options, f"-artifact_prefix={folder_of_crashes}/", str(corpus)], fuzz
+        )
         atheris.Fuzz()
     rng = random.Random(seed)
     while True:
         fuzz(mutant(seeds, rng))
 
 
-def fuzzed(name: str, seconds: float, seed: int, keep: Path) -> subprocess.CompletedProcess[str]:
+def run_fuzzer(
+    name: str, seconds: float, seed: int, folder_of_crashes: Path
+) -> subprocess.CompletedProcess[str]:
     """Fuzz a target in a process of its own, with its own folder for files."""
-    words = ["--target", name, "--seconds", str(seconds), "--seed", str(seed), "--keep", str(keep)]
+    options = [
+        "--target",
+        name,
+        "--seconds",
+        str(seconds),
+        "--seed",
+        str(seed),
+        "--keep",
+        str(folder_of_crashes),
+    ]
     with tempfile.TemporaryDirectory() as scratch:
         return subprocess.run(
-            [sys.executable, __file__, "--child", *words],
+            [sys.executable, __file__, "--child", *options],
             env=os.environ | {"TMPDIR": scratch},
             capture_output=True,
             text=True,
@@ -136,32 +150,34 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, default=Path("crashes"))
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    keep = options.keep.absolute()
+    folder_of_crashes = options.keep.absolute()
     if options.child:
-        child(options.target[0], options.seconds, options.seed, keep)
-    unknown = set(options.target or ()) - set(known())
+        fuzz_here(options.target[0], options.seconds, options.seed, folder_of_crashes)
+    unknown = set(options.target or ()) - set(all_targets())
     if unknown:
-        names = ", ".join(known())
+        names = ", ".join(all_targets())
         parser.error(f"no such target: {unknown.pop()}; there are {names}")
-    how = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
-    keep.mkdir(parents=True, exist_ok=True)
-    print(f"With {how}, {options.seconds:g} s a target:\n", flush=True)
+    method = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
+    folder_of_crashes.mkdir(parents=True, exist_ok=True)
+    print(f"With {method}, {options.seconds:g} s a target:\n", flush=True)
     print("| target | runs | crashes |\n|---|---|---|", flush=True)
     failed = False
-    for name in options.target or known():
-        done = fuzzed(name, options.seconds, options.seed, keep)
-        if done.returncode:
-            print(f"| {name} | died with {done.returncode} | |\n\n{done.stderr}", flush=True)
+    for name in options.target or all_targets():
+        process = run_fuzzer(name, options.seconds, options.seed, folder_of_crashes)
+        if process.returncode:
+            print(f"| {name} | died with {process.returncode} | |\n\n{process.stderr}", flush=True)
             failed = True
             continue
-        record = json.loads(done.stdout.splitlines()[-1])
+        record = json.loads(process.stdout.splitlines()[-1])
         print(f"| {name} | {record['runs']} | {len(record['crashes'])} |")
-        for place, message in record["crashes"].items():
-            print(f"\n{place}: {message}\n\n{done.stderr}")
+        for location, message in record["crashes"].items():
+            print(f"\n{location}: {message}\n\n{process.stderr}")
         failed |= bool(record["crashes"])
         sys.stdout.flush()
-    if keep.exists() and not any(keep.iterdir()):  # another run may have removed it
-        keep.rmdir()
+    if folder_of_crashes.exists() and not any(
+        folder_of_crashes.iterdir()
+    ):  # another run may have removed it
+        folder_of_crashes.rmdir()
     return int(failed)
 
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import yaml
 from solverbench.problems import EXPERIMENTS
-from solverbench.report import progress
+from solverbench.report import print_progress
 
 from tetractl.control.methods.mpc_section import RecommendedMpc
 from tetractl.core.poses import Floats
@@ -233,7 +233,7 @@ def main() -> None:
     if not options.report:
         options.out.mkdir(parents=True, exist_ok=True)
         for name in names:
-            progress(name)
+            print_progress(name)
             arms_run = {OURS: {}} if options.ours else controllers(name)
             out = options.out / name
             run(name, out, arms_run, options.trials, options.jobs, options.seed)

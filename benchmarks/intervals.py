@@ -28,10 +28,10 @@ from tetractl.statistics.mean_difference import (
 )
 
 SIZES = (8, 20)
-SPREAD = 0.35  # deviation of the normal errors around 1: none is negative in practice
+NORMAL_DEVIATION = 0.35  # deviation of the normal errors around 1: none is negative in practice
 BCA_SETS = 500
 RESAMPLES = 999
-ALARM = 0.05  # p below which a test finds a difference
+P_ALARM = 0.05  # p below which a test finds a difference
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Errors:
 ERRORS = (
     Errors(
         "normal, deviation 35 %",
-        lambda rng, shape: np.abs(rng.normal(1, SPREAD, shape)),
+        lambda rng, shape: np.abs(rng.normal(1, NORMAL_DEVIATION, shape)),
         1.0,
     ),
     *(
@@ -68,32 +68,34 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for errors in ERRORS:
         for n in SIZES:
-            print(f"| {errors.name} | {n} | {_one_mean(errors, n, sets)} |", flush=True)
+            print(f"| {errors.name} | {n} | {_coverage_of_one_mean(errors, n, sets)} |", flush=True)
     print("\n| errors | n | Welch, alike | Welch, 1 to 4 | both, alike | both, 1 to 4 | paired t |")
     print("|---|---|---|---|---|---|---|")
     for errors in ERRORS:
         for n in SIZES:
-            print(f"| {errors.name} | {n} | {_two_means(errors, n, sets)} |", flush=True)
+            print(
+                f"| {errors.name} | {n} | {_coverage_of_differences(errors, n, sets)} |", flush=True
+            )
     print("\n| errors | n | signed rank, none | rank sum, none | rank sum, equal means |")
     print("|---|---|---|---|---|")
     for errors in ERRORS:
         for n in SIZES:
-            print(f"| {errors.name} | {n} | {_false_alarms(errors, n, sets)} |", flush=True)
+            print(f"| {errors.name} | {n} | {_count_false_alarms(errors, n, sets)} |", flush=True)
     print(f"\n{sets} sets for each figure, {min(sets, BCA_SETS)} for BCa.")
 
 
-def _one_mean(errors: Errors, n: int, sets: int) -> str:
+def _coverage_of_one_mean(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: how often intervals contain a mean."""
     rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
     ours = [distribution.ci95 for distribution in distributions(rows)]
-    half = scipy.stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
-    middle = rows.mean(axis=1)
-    student = [Interval(m - h, m + h) for m, h in zip(middle, half, strict=True)]
-    methods = ours, student, _bca(rows[:BCA_SETS])
-    return " | ".join(_percent(_share(intervals, errors.mean)) for intervals in methods)
+    half_widths = scipy.stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
+    means = rows.mean(axis=1)
+    student = [Interval(m - h, m + h) for m, h in zip(means, half_widths, strict=True)]
+    methods = ours, student, _bca_intervals(rows[:BCA_SETS])
+    return " | ".join(_format_percent(_coverage(intervals, errors.mean)) for intervals in methods)
 
 
-def _bca(rows: Floats) -> list[Interval]:
+def _bca_intervals(rows: Floats) -> list[Interval]:
     """Compute BCa bootstrap intervals, each with its own seed."""
     bca_intervals = []
     with warnings.catch_warnings():
@@ -102,32 +104,32 @@ def _bca(rows: Floats) -> list[Interval]:
             ends = scipy.stats.bootstrap(
                 [row], np.mean, n_resamples=RESAMPLES, method="BCa", rng=np.random.default_rng(seed)
             ).confidence_interval
-            low = float(ends.low)
-            bca_intervals.append(Interval(low, float(ends.high)))
+            low_end = float(ends.low)
+            bca_intervals.append(Interval(low_end, float(ends.high)))
     return bca_intervals
 
 
-def _two_means(errors: Errors, n: int, sets: int) -> str:
+def _coverage_of_differences(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: how often intervals contain the difference of two means.
 
     Errors are equally large on both sides, or four times as large on one side. In pairs, both
     trials share half of their error.
     """
     rng = np.random.default_rng([n, 2])
-    ours, theirs, common = (errors.draw(rng, (sets, n)) for _ in range(3))
+    ours, theirs, shared = (errors.draw(rng, (sets, n)) for _ in range(3))
     cells = []
-    for interval in (_welch, from_both_intervals):
+    for interval in (_welch_interval, from_both_intervals):
         for factor in (1, 4):
             pairs = zip(distributions(ours), distributions(factor * theirs), strict=True)
             intervals_found = [interval(first, second) for first, second in pairs]
-            cells.append(_percent(_share(intervals_found, errors.mean * (1 - factor))))
-    differences = (ours + common) / 2 - 4 * (theirs + common) / 2
+            cells.append(_format_percent(_coverage(intervals_found, errors.mean * (1 - factor))))
+    differences = (ours + shared) / 2 - 4 * (theirs + shared) / 2
     intervals_found = [paired_t(difference).ci95 for difference in differences]
-    cells.append(_percent(_share(intervals_found, -3 * errors.mean)))
+    cells.append(_format_percent(_coverage(intervals_found, -3 * errors.mean)))
     return " | ".join(cells)
 
 
-def _false_alarms(errors: Errors, n: int, sets: int) -> str:
+def _count_false_alarms(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: how often rank tests give a false alarm.
 
     The tests compare two equal batches, paired and unpaired, and two batches with the same mean, of
@@ -135,26 +137,26 @@ def _false_alarms(errors: Errors, n: int, sets: int) -> str:
     """
     rng = np.random.default_rng([n, 3])
     ours, theirs = (errors.draw(rng, (sets, n)) for _ in range(2))
-    wide = 4 * (theirs - errors.mean) + errors.mean
+    wider = 4 * (theirs - errors.mean) + errors.mean
     alarms = [
-        np.mean([signed_rank(our) < ALARM for our in ours - theirs]),
-        np.mean([rank_sum(*two) < ALARM for two in zip(ours, theirs, strict=True)]),
-        np.mean([rank_sum(*two) < ALARM for two in zip(ours, wide, strict=True)]),
+        np.mean([signed_rank(our) < P_ALARM for our in ours - theirs]),
+        np.mean([rank_sum(*two) < P_ALARM for two in zip(ours, theirs, strict=True)]),
+        np.mean([rank_sum(*two) < P_ALARM for two in zip(ours, wider, strict=True)]),
     ]
-    return " | ".join(_percent(float(alarm)) for alarm in alarms)
+    return " | ".join(_format_percent(float(alarm)) for alarm in alarms)
 
 
-def _welch(first, second) -> Interval:
+def _welch_interval(first, second) -> Interval:
     return welch(first.n, first.mean, first.std, second.n, second.mean, second.std).ci95
 
 
-def _share(intervals: Iterable[Interval], true: float) -> float:
+def _coverage(intervals: Iterable[Interval], true_value: float) -> float:
     return float(
-        np.mean([interval_of.low <= true <= interval_of.high for interval_of in intervals])
+        np.mean([interval_of.low <= true_value <= interval_of.high for interval_of in intervals])
     )
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     return f"{100 * share:.1f}"
 
 

@@ -10,7 +10,7 @@ import argparse
 import time
 
 import numpy as np
-from solverbench.report import load
+from solverbench.report import describe_load
 
 from tetractl.control.methods.lengths import Searcher, least_length
 from tetractl.control.search.optimizers.multistart import Multistart
@@ -79,7 +79,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--trials", type=int, default=50, help="instances")
     trials = parser.parse_args().trials
-    print(f"{trials} instances of each number of robots. {load()}.\n")
+    print(f"{trials} instances of each number of robots. {describe_load()}.\n")
     first_plans(trials)
 
 

@@ -37,7 +37,7 @@ RADIUS_M = 0.129
 """Distance of a wheel of an iRobot Create from its centre [m]."""
 SPEED_M_S = 0.09
 """Greatest speed that was sent, rounded up [m/s]."""
-TURNING = 0.6
+TURNING_RAD_S = 0.6
 """Greatest turning rate that was sent, rounded up [rad/s]."""
 BODY_M = 0.17
 """Radius of the robots [m]."""
@@ -47,11 +47,11 @@ REPEAT_S = 0.05
 """Time after which unchanged speeds are logged again [s]."""
 
 
-def spec_of(starts: Floats) -> LoadedSpec:
+def make_spec(starts: Floats) -> LoadedSpec:
     """Create the spec of a lab in which the robots drive. `starts` (5, 3) are their first poses."""
     robots = "\n".join(
         f"  - {{name: r{k}, start: [{x}, {y}], heading: {heading}, target: [{k}, 0], "
-        f"a: {TURNING}, speed: {SPEED_M_S}}}"
+        f"a: {TURNING_RAD_S}, speed: {SPEED_M_S}}}"
         for k, (x, y, heading) in zip(ROBOTS, starts.tolist(), strict=True)
     )
     bodies = ", ".join(f"{{name: r{k}, body: r{k}}}" for k in ROBOTS)
@@ -73,37 +73,58 @@ trials: {{count: 1, seed: 1}}
     return parse_spec(text, "mrclam.yaml")
 
 
-def frames_of(poses: list[Floats]) -> tuple[Floats, Floats]:
-    """Join poses to frames of all robots: times (M,) [s] and poses (M, N, 3), NaN if missing."""
-    rows = np.concatenate([np.column_stack([p, np.full(len(p), i)]) for i, p in enumerate(poses)])
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+def merge_by_time(tables: list[Floats]) -> Floats:
+    """Merge tables, one of each robot, to one table that is sorted by time.
+
+    The first column of each table is the time. A last column with the robot's index is added.
+    """
+    numbered = [np.column_stack([rows, np.full(len(rows), i)]) for i, rows in enumerate(tables)]
+    merged = np.concatenate(numbered)
+    return merged[np.argsort(merged[:, 0], kind="stable")]
+
+
+def join_frames(poses: list[Floats]) -> tuple[Floats, Floats]:
+    """Join the poses of single robots to camera frames of all robots.
+
+    Args:
+        poses: For each of N robots, rows of time [s], x, y [m] and heading [rad].
+
+    Returns:
+        The times of the M frames [s], shape (M,), and the poses, shape (M, N, 3). The pose of a
+        robot that is not in a frame is NaN.
+    """
+    rows = merge_by_time(poses)
     starts = [0]
-    seen = set[int]()
+    robots_in_frame = set[int]()
     for k, row in enumerate(rows):
         robot = int(row[4])
-        if row[0] - rows[starts[-1], 0] > FRAME_S or robot in seen:
+        if row[0] - rows[starts[-1], 0] > FRAME_S or robot in robots_in_frame:
             starts.append(k)
-            seen = set()
-        seen.add(robot)
-    shown = np.full((len(starts), len(poses), 3), np.nan)
-    for m, (first, last) in enumerate(pairwise([*starts, len(rows)])):
-        shown[m, rows[first:last, 4].astype(int)] = rows[first:last, 1:4]
-    return rows[starts, 0], shown
+            robots_in_frame = set()
+        robots_in_frame.add(robot)
+    frames = np.full((len(starts), len(poses), 3), np.nan)
+    for frame, (first, last) in enumerate(pairwise([*starts, len(rows)])):
+        frames[frame, rows[first:last, 4].astype(int)] = rows[first:last, 1:4]
+    return rows[starts, 0], frames
 
 
-def commands_of(sent: list[Floats], until_s: float) -> list[Command]:
-    """Create the commands: one for each change of a speed, and repetitions every REPEAT_S."""
-    rows = np.concatenate([np.column_stack([s, np.full(len(s), i)]) for i, s in enumerate(sent)])
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+def make_commands(sent_speeds: list[Floats], until_s: float) -> list[Command]:
+    """Create a command for each change of a speed, and repeat the last one every REPEAT_S.
+
+    Args:
+        sent_speeds: For each robot, rows of time [s], speed [m/s] and turning rate [rad/s].
+        until_s: Later rows are left out [s].
+    """
+    rows = merge_by_time(sent_speeds)
     rows = rows[rows[:, 0] < until_s]
-    twists = np.zeros((len(sent), 2))
+    twists = np.zeros((len(sent_speeds), 2))
     commands: list[Command] = []
     last_s = -np.inf
 
     def put(t_s: float) -> None:
-        v, w = twists.T
-        delivered = (True,) * len(sent)
-        left, right = v - w * RADIUS_M, v + w * RADIUS_M
+        speeds, turning_rates = twists.T
+        delivered = (True,) * len(sent_speeds)
+        left, right = speeds - turning_rates * RADIUS_M, speeds + turning_rates * RADIUS_M
         commands.append(Command(Steer(0.0), round(t_s * SECOND), delivered, left, right))
 
     for t_s, v, w, robot in rows.tolist():
@@ -117,39 +138,48 @@ def commands_of(sent: list[Floats], until_s: float) -> list[Command]:
     return commands
 
 
-def convert(folder: Path, out: Path, longest_s: float = math.inf) -> Path:
-    """Write the log of a set, or of its first `longest_s` [s], and return the log's file."""
+def convert(folder: Path, folder_of_logs: Path, longest_s: float = math.inf) -> Path:
+    """Write the log of a set of recordings.
+
+    Args:
+        folder: Folder of the set.
+        folder_of_logs: Where to write the log.
+        longest_s: Only this much of the recordings is written [s].
+
+    Returns:
+        The log's file.
+    """
     raw = [recorded(folder, k) for k in ROBOTS]
-    zero_s = max(sent[0, 0] for _, sent in raw)  # when the last robot began to be sent speeds
-    until_s = min(longest_s, min(poses[-1, 0] for poses, _ in raw) - zero_s)
-    poses = [np.column_stack([p[:, 0] - zero_s + 1, p[:, 1:]]) for p, _ in raw]
-    sent = [np.column_stack([s[:, 0] - zero_s + 1, s[:, 1:]]) for _, s in raw]
+    start_s = max(sent[0, 0] for _, sent in raw)  # when the last robot began to be sent speeds
+    until_s = min(longest_s, min(poses[-1, 0] for poses, _ in raw) - start_s)
+    poses = [np.column_stack([p[:, 0] - start_s + 1, p[:, 1:]]) for p, _ in raw]
+    sent = [np.column_stack([s[:, 0] - start_s + 1, s[:, 1:]]) for _, s in raw]
     poses = [p[(p[:, 0] > 0) & (p[:, 0] < until_s + 1)] for p in poses]
-    commands = commands_of(sent, until_s + 1)
+    commands = make_commands(sent, until_s + 1)
     commands = [command for command in commands if command.sent_ns >= SECOND]
-    spec = spec_of(np.array([p[0, 1:] for p in poses]))
-    times_s, shown = frames_of(poses)
-    path = out / f"{folder.name}.mcap"
+    spec = make_spec(np.array([p[0, 1:] for p in poses]))
+    times_s, frames = join_frames(poses)
+    path = folder_of_logs / f"{folder.name}.mcap"
     path.parent.mkdir(parents=True, exist_ok=True)
     stop = Command(Stop(), commands[-1].sent_ns + 1, (True,) * len(ROBOTS))
     last = Poses.from_array(np.array([p[0, 1:] for p in poses]))
     with LogWriter(path) as log:
         log.on_start(start_of(spec, 0, PlantInfo("lab", False, 60.0, {}), EPOCH_NS))
-        due = iter(commands)
-        command = next(due, None)
-        for m, (t_s, row) in enumerate(zip(times_s.tolist(), shown, strict=True)):
+        pending = iter(commands)
+        command = next(pending, None)
+        for frame, (t_s, row) in enumerate(zip(times_s.tolist(), frames, strict=True)):
             t_ns = round(t_s * SECOND)
             while command is not None and command.sent_ns < t_ns:
                 log.on_command(command)
-                command = next(due, None)
+                command = next(pending, None)
             valid = ~np.isnan(row[:, 0])
             last = Poses.from_array(np.where(valid[:, None], row, last.array()))
-            log.on_samples([Sample(Observation(m, t_ns, t_ns, last, valid), None, ())])
-        log.on_stop(stop, ended(spec, last, until_s))
+            log.on_samples([Sample(Observation(frame, t_ns, t_ns, last, valid), None, ())])
+        log.on_stop(stop, interrupted_result(spec, last, until_s))
     return path
 
 
-def ended(spec: LoadedSpec, final: Poses, duration_s: float) -> Result:
+def interrupted_result(spec: LoadedSpec, final: Poses, duration_s: float) -> Result:
     """Create the result of a recording, which only says that it ended."""
     setup = spec.experiment.setup
     robots = len(ROBOTS)

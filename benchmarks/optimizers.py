@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 from solverbench.problems import LENGTH, printed, recommended
-from solverbench.report import load
+from solverbench.report import describe_load
 
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.registries import OPTIMIZERS
@@ -29,7 +29,7 @@ def main() -> None:
         for kind in OPTIMIZERS.names():
             optimizer = OPTIMIZERS.load(kind).model_validate({"type": kind})
             print(f"| {name} | `{kind}` | {_figures(optimizer, problem, seeds)} |", flush=True)
-    print(f"\n{seeds} searches of {LENGTH} signals each, {load()}.")
+    print(f"\n{seeds} searches of {LENGTH} signals each, {describe_load()}.")
 
 
 def _figures(optimizer: OptimizerSection, problem: Problem, seeds: int) -> str:

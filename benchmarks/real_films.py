@@ -11,8 +11,8 @@ film. Two measures judge it without a truth:
   that differs from the median of its surroundings, a square with sides of SURROUNDINGS_PX. Bodies
   are darker or lighter. For comparison, the benchmark prints how much of the images' area has no
   body within NEAR_PX. Positions in a blob that several cells share are not counted.
-- **Contradicted**: a cell's position and its position LINK images later form a link. A link is sure
-  if the tracker gives both of its ends a probability at which the lab steers the cell
+- **Contradicted**: a cell's position and its position LINK_LENGTH images later form a link. A link
+  is sure if the tracker gives both of its ends a probability at which the lab steers the cell
   (`identity_watch.SURE`). The tracker also sees the film backwards. The cell that it shows at the
   second position must also be at the first one. A link is contradicted if that cell is elsewhere,
   by ELSEWHERE_PX or more. Either direction may be wrong, so this is an upper bound. A second count
@@ -43,15 +43,24 @@ from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import TetractlError
 from tetractl.statistics.estimate import proportion_interval
 
-LEARNING_S = 1.5  # the default of the camera's `learning` [s]
-LEARNED = 15  # images from which the background is computed
-MEDIAN_OF = 60  # images of the film's median
-NEAR_PX = 6.0  # distance to a body of a position that has one
-SURROUNDINGS_PX = 61  # side of the square with which a resting body is compared
-LINKED_PX = 8.0  # distance at which positions of both directions show the same cell
+LEARNING_S = 1.5
+"""Time from which the background is learned [s]: the default of the camera's `learning`."""
+LEARNING_IMAGES = 15
+"""Number of images from which the background is computed."""
+MEDIAN_IMAGES = 60
+"""Number of images from which the film's median is computed."""
+NEAR_PX = 6.0
+"""Maximum distance from a position to its body [px]."""
+SURROUNDINGS_PX = 61
+"""Side of the square with which a resting body is compared [px]."""
+LINKED_PX = 8.0
+"""Distance below which positions of both directions show the same cell [px]."""
 ELSEWHERE_PX = 20.0
-EVERY = 3  # every third image is examined for links
-LINK = 30  # length of a link [images]
+"""Distance from which on a link is contradicted [px]."""
+LINK_STRIDE = 3
+"""Links begin at every third image of a cell."""
+LINK_LENGTH = 30
+"""Length of a link [images]."""
 
 IMAGE, NUMBER, COLUMN, ROW, IS_SURE, IS_FOUND = range(6)
 """Columns of a table of positions, one row for each cell in each image."""
@@ -70,13 +79,23 @@ def read_film(path: Path, rate_hz: float | None) -> tuple[list[np.ndarray], floa
     return images, feed.rate_hz
 
 
-def followed(
+def track_cells(
     images: Sequence[np.ndarray], rate_hz: float, um_px: float, organism: Organism
 ) -> np.ndarray:
-    """Run the live tracker, and return the positions at which it sees cells, shape (N, 6)."""
+    """Run the live tracker on a film.
+
+    Args:
+        images: The images of the film, in the order in which the tracker sees them.
+        rate_hz: Rate of the film [Hz].
+        um_px: Scale of the images [um/px].
+        organism: The cells' organism.
+
+    Returns:
+        The positions at which the tracker sees cells, shape (N, 6), in the columns named above.
+    """
     tracker = CellTracker(um_px, field_known=False, organism=organism)
-    first = images[: max(LEARNED, round(LEARNING_S * rate_hz))]
-    tracker.finder.learn(list(first[:: max(1, len(first) // LEARNED)]))
+    first = images[: max(LEARNING_IMAGES, round(LEARNING_S * rate_hz))]
+    tracker.finder.learn(list(first[:: max(1, len(first) // LEARNING_IMAGES)]))
     rows = []
     for number, image in enumerate(images):
         for cell in tracker.see(image, number / rate_hz, no_field):
@@ -106,52 +125,60 @@ def find_bodies(images: Sequence[np.ndarray], threshold: float) -> Bodies:
         images: The images of the film.
         threshold: How much a body differs from what is behind or around it [grey levels].
     """
-    step = max(1, len(images) // MEDIAN_OF)
+    step = max(1, len(images) // MEDIAN_IMAGES)
     background = np.median(np.array(images[::step]), axis=0).astype(np.float32)
     bodies = Bodies([], [])
     for image in images:
-        moving = _differs(image, background, threshold)
+        moving = _mask_difference(image, background, threshold)
         surroundings = cv2.medianBlur(image, SURROUNDINGS_PX)
         bodies.moving.append(moving)
-        bodies.any.append(moving | _differs(image, surroundings, threshold))
+        bodies.any.append(moving | _mask_difference(image, surroundings, threshold))
     return bodies
 
 
-def _differs(image: np.ndarray, other: np.ndarray, threshold: float) -> np.ndarray:
-    """Return where two images differ by more than a threshold, without single pixels."""
-    difference = cv2.GaussianBlur(image.astype(np.float32) - other, (3, 3), 0)
+def _mask_difference(image: np.ndarray, reference: np.ndarray, threshold: float) -> np.ndarray:
+    """Create a mask of where two images differ by more than a threshold, without single pixels."""
+    difference = cv2.GaussianBlur(image.astype(np.float32) - reference, (3, 3), 0)
     mask = (np.abs(difference) > threshold).astype(np.uint8)
     return cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
 
 
-def area_without(bodies: Sequence[np.ndarray]) -> float:
-    """Return the fraction of the images' area that has no body near."""
-    away = [cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) for mask in bodies]
-    return float(np.mean([(gaps > NEAR_PX).mean() for gaps in away]))
+def fraction_without_body(bodies: Sequence[np.ndarray]) -> float:
+    """Compute the fraction of the images' area that has no body within NEAR_PX."""
+    distances_px = [cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) for mask in bodies]
+    return float(np.mean([(gaps > NEAR_PX).mean() for gaps in distances_px]))
 
 
-def no_body(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
-    """Count the positions without a near body or outside the image, and all positions."""
-    found = rows[rows[:, IS_FOUND] > 0]
-    without = 0
-    for number in np.unique(found[:, IMAGE]).astype(int).tolist():
-        away = cv2.distanceTransform(1 - bodies[number], cv2.DIST_L2, 5)
-        height, width = away.shape
-        in_image = found[found[:, IMAGE] == number]
+def count_without_body(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
+    """Count the positions that are outside of the image or have no body within NEAR_PX.
+
+    Args:
+        rows: The positions, shape (N, 6).
+        bodies: Masks of the bodies, one for each image.
+
+    Returns:
+        The number of these positions, and the number of all positions.
+    """
+    with_blob = rows[rows[:, IS_FOUND] > 0]
+    missing_count = 0
+    for number in np.unique(with_blob[:, IMAGE]).astype(int).tolist():
+        distance_px = cv2.distanceTransform(1 - bodies[number], cv2.DIST_L2, 5)
+        height, width = distance_px.shape
+        in_image = with_blob[with_blob[:, IMAGE] == number]
         for x, y in in_image[:, [COLUMN, ROW]].astype(int).tolist():
             is_inside = 0 <= x < width and 0 <= y < height
-            without += not is_inside or away[y, x] > NEAR_PX
-    return int(without), len(found)
+            missing_count += not is_inside or distance_px[y, x] > NEAR_PX
+    return int(missing_count), len(with_blob)
 
 
 class Links(NamedTuple):
-    """Counts of sure links of which the reverse film shows both ends.
+    """Counts of the sure links whose two ends the reverse film shows, too.
 
     Attributes:
-        sure: The links.
-        contradicted: Those that the reverse contradicts.
-        both_sure: The links that are sure in both directions.
-        both_contradicted: Those of them that the reverse contradicts.
+        sure: Number of these links.
+        contradicted: Number of links that the reverse film contradicts.
+        both_sure: Number of links that are sure in both directions.
+        both_contradicted: Number of links that are sure in both directions but contradicted.
     """
 
     sure: int
@@ -161,27 +188,35 @@ class Links(NamedTuple):
 
 
 def check_links(forwards: np.ndarray, backwards: np.ndarray, count: int) -> Links:
-    """Compare the sure links of a film of `count` images with what its reverse shows."""
-    turned = backwards.copy()
-    turned[:, IMAGE] = count - 1 - turned[:, IMAGE]
-    reverse_of = _by_number(turned)
-    reverse_in = defaultdict[int, list[np.ndarray]](list)
-    for row in turned:
-        reverse_in[int(row[IMAGE])].append(row)
+    """Compare the sure links of a film with what the tracker shows in the reversed film.
+
+    Args:
+        forwards: Positions in the film, shape (N, 6).
+        backwards: Positions in the reversed film, shape (M, 6).
+        count: Number of images of the film.
+    """
+    reversed_film = backwards.copy()
+    reversed_film[:, IMAGE] = count - 1 - reversed_film[:, IMAGE]
+    reverse_by_cell = _group_by_cell(reversed_film)
+    reverse_by_image = defaultdict[int, list[np.ndarray]](list)
+    for row in reversed_film:
+        reverse_by_image[int(row[IMAGE])].append(row)
     links = []
-    for places in _by_number(forwards).values():
-        for number in list(places)[::EVERY]:
-            first = places[number]
-            second = places.get(number + LINK)
+    for rows_of_cell in _group_by_cell(forwards).values():
+        for number in list(rows_of_cell)[::LINK_STRIDE]:
+            first = rows_of_cell[number]
+            second = rows_of_cell.get(number + LINK_LENGTH)
             if second is None or not (first[IS_SURE] and second[IS_SURE]):
                 continue
-            nearest = min(reverse_in[number], key=lambda row: _apart(row, first), default=None)
-            if nearest is None or _apart(nearest, first) >= LINKED_PX:
+            nearest = min(
+                reverse_by_image[number], key=lambda row: _distance_px(row, first), default=None
+            )
+            if nearest is None or _distance_px(nearest, first) >= LINKED_PX:
                 continue
-            there = reverse_of[nearest[NUMBER]].get(number + LINK)
-            if there is not None:
-                is_wrong = _apart(there, second) >= ELSEWHERE_PX
-                links.append((is_wrong, bool(nearest[IS_SURE] and there[IS_SURE])))
+            row_of_reverse = reverse_by_cell[nearest[NUMBER]].get(number + LINK_LENGTH)
+            if row_of_reverse is not None:
+                is_wrong = _distance_px(row_of_reverse, second) >= ELSEWHERE_PX
+                links.append((is_wrong, bool(nearest[IS_SURE] and row_of_reverse[IS_SURE])))
     return Links(
         sure=len(links),
         contradicted=sum(is_wrong for is_wrong, _ in links),
@@ -190,24 +225,24 @@ def check_links(forwards: np.ndarray, backwards: np.ndarray, count: int) -> Link
     )
 
 
-def _by_number(rows: np.ndarray) -> dict[float, dict[int, np.ndarray]]:
-    """Group the rows of each cell by image."""
+def _group_by_cell(rows: np.ndarray) -> dict[float, dict[int, np.ndarray]]:
+    """Group positions by cell and by image: the row of a cell in each image."""
     by_number: dict[float, dict[int, np.ndarray]] = {}
     for row in rows:
         by_number.setdefault(row[NUMBER], {})[int(row[IMAGE])] = row
     return by_number
 
 
-def _apart(row: np.ndarray, other: np.ndarray) -> float:
-    return float(np.hypot(*(row[[COLUMN, ROW]] - other[[COLUMN, ROW]])))
+def _distance_px(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.hypot(*(first[[COLUMN, ROW]] - second[[COLUMN, ROW]])))
 
 
-def share(hits: int, count: int) -> str:
+def format_fraction(successes: int, count: int) -> str:
     """Format a fraction with its 95 % interval."""
     if not count:
         return "none"
-    ends = proportion_interval(hits, count)
-    return f"{hits} of {count} ({100 * ends.low:.1f} to {100 * ends.high:.1f} %)"
+    ends = proportion_interval(successes, count)
+    return f"{successes} of {count} ({100 * ends.low:.1f} to {100 * ends.high:.1f} %)"
 
 
 def main() -> None:
@@ -225,7 +260,7 @@ def main() -> None:
     except TetractlError as error:
         sys.exit(f"error: {error.message}")
     forwards, backwards = (
-        followed(way, rate_hz, chosen.scale, organism) for way in (images, images[::-1])
+        track_cells(way, rate_hz, chosen.scale, organism) for way in (images, images[::-1])
     )
     bodies = find_bodies(images, chosen.threshold)
     links = check_links(forwards, backwards, len(images))
@@ -235,14 +270,16 @@ def main() -> None:
         ("positions", forwards),
         ("sure positions", forwards[forwards[:, IS_SURE] > 0]),
     ):
-        print(f"{kind} without a body that moves: {share(*no_body(rows, bodies.moving))}")
-        print(f"{kind} without any body: {share(*no_body(rows, bodies.any))}")
-    without = area_without(bodies.moving), area_without(bodies.any)
-    print("area without a body that moves: {:.0%}, without any body: {:.0%}".format(*without))
-    print(f"sure links contradicted: {share(links.contradicted, links.sure)}")
+        without_moving = format_fraction(*count_without_body(rows, bodies.moving))
+        without_any = format_fraction(*count_without_body(rows, bodies.any))
+        print(f"{kind} without a body that moves: {without_moving}")
+        print(f"{kind} without any body: {without_any}")
+    areas_without = fraction_without_body(bodies.moving), fraction_without_body(bodies.any)
+    print("area without a body that moves: {:.0%}, without any body: {:.0%}".format(*areas_without))
+    print(f"sure links contradicted: {format_fraction(links.contradicted, links.sure)}")
     print(
         "links sure in both directions, contradicted: "
-        f"{share(links.both_contradicted, links.both_sure)}"
+        f"{format_fraction(links.both_contradicted, links.both_sure)}"
     )
 
 

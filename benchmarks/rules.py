@@ -23,7 +23,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from solverbench.report import load, progress
+from solverbench.report import describe_load, print_progress
 from worlds.trials import PAIRS_HEAD, Row, Task, extended, pair_lines
 
 from tetractl.control.estimation import filter, filter_start, reception
@@ -298,9 +298,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=20261128)
     parser.add_argument("--out", type=Path, default=Path("logs/rules"))
     options = parser.parse_args()
-    print(f"Simulated. {load()}.\n\n{PAIRS_HEAD}")
+    print(f"Simulated. {describe_load()}.\n\n{PAIRS_HEAD}")
     for name in options.rule:
-        progress(name)
+        print_progress(name)
         worlds = options.world or dict.fromkeys((*RULES[name].helps, *COMMON))
         tasks = [Task(options.seed, world, k) for world in worlds for k in range(options.trials)]
         whole, without = (trials_of(rule, tasks, options.out) for rule in (WHOLE, name))

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numba
 from llvmlite import binding
 from solverbench import loop, success
-from solverbench.report import Report, Settings, load, progress
+from solverbench.report import Report, Settings, describe_load, print_progress
 
 PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 
@@ -38,10 +38,10 @@ def main() -> None:
     unknown = [part for part in wanted if part not in parts]
     if unknown:
         parser.error(f"--only: no part {unknown[0]}; there are {', '.join(parts)}")
-    began = load()
+    began = describe_load()
     reports = []
     for part in wanted:
-        progress(f"({part}) ...")
+        print_progress(f"({part}) ...")
         reports.append(parts[part]())
     print("\n".join(_head(began, chosen.quick)))
     for report in reports:
@@ -54,7 +54,7 @@ def _head(began: str, quick: bool) -> list[str]:
     lines = [
         f"One process, {platform.python_implementation()} {platform.python_version()}, processor "
         f"{binding.get_host_cpu_name()} ({numba.config.NUMBA_NUM_THREADS} cores); "
-        f"{', '.join(versions)}. {began} at the start, {load()} at the end.",
+        f"{', '.join(versions)}. {began} at the start, {describe_load()} at the end.",
         "",
     ]
     return [*lines, "**`--quick`: these figures mean little.**", ""] if quick else lines

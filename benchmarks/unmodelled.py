@@ -11,7 +11,7 @@ differences from the same trials of another version.
 import argparse
 from pathlib import Path
 
-from solverbench.report import load
+from solverbench.report import describe_load
 from worlds import WORLDS
 from worlds.trials import HEAD, PAIRS_HEAD, Row, Task, extended, line, pair_lines, read
 
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="CSV of the trials")
     parser.add_argument("--against", type=Path, help="that of another version")
     options = parser.parse_args()
-    print(f"Simulated, seed {options.seed}. {load()}.\n\n{HEAD}")
+    print(f"Simulated, seed {options.seed}. {describe_load()}.\n\n{HEAD}")
     places = [" --set ".join([name, *options.set]) for name in options.world]
     tasks = [
         Task(options.seed, place, trial) for place in places for trial in range(options.trials)

@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from solverbench.report import load, progress
+from solverbench.report import describe_load, print_progress
 from worlds import WORLDS, WRONG_SHAPES
 from worlds.trials import HEAD, Row, Task, line, run
 
@@ -76,10 +76,10 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="a setting of every spec")
     parser.add_argument("--each", action="store_true", help="also print each trial")
     options = parser.parse_args()
-    print(f"Simulated, seed {options.seed}. {load()}.\n\n{HEAD}")
+    print(f"Simulated, seed {options.seed}. {describe_load()}.\n\n{HEAD}")
     reports: list[str] = []
     for world in options.world:
-        progress(world)
+        print_progress(world)
         place = " --set ".join([world, *options.set])
         trials: list[tuple[Row, Messages]] = []
         for trial in range(options.trials):

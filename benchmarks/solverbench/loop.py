@@ -15,7 +15,7 @@ from .problems import (
     recommended,
     run,
 )
-from .report import Report, Settings, load, progress, spread
+from .report import Report, Settings, describe_load, format_spread, print_progress
 
 HEAD = ["controller", "total error [mm], mean +- std", "worst [mm]", "entered obstacle"]
 TIMES = ["first step [ms], median", "later steps [ms]"]
@@ -32,7 +32,7 @@ def _errors(name: str, results: list[Result]) -> list[str]:
 def _times(results: list[Result]) -> list[str]:
     first = np.median([r.solve_ns[0] for r in results]) / 1e6
     later_s = np.concatenate([r.solve_ns[1:] for r in results]) / 1e9
-    return [f"{first:.1f}", spread(later_s)]
+    return [f"{first:.1f}", format_spread(later_s)]
 
 
 def closed(settings: Settings) -> Report:
@@ -43,7 +43,7 @@ def closed(settings: Settings) -> Report:
     if available(shooting.PACKAGE):
         from tetractl_ipopt import Ipopt
 
-        progress("(b) building the programmes of IPOPT")
+        print_progress("(b) building the programmes of IPOPT")
         shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
         at_5hz = experiment(OURS, "controller.period=0.2")  # s: a signal a step
         ipopt = shooting.shrinking(at_5hz, Ipopt(type="ipopt"))
@@ -54,13 +54,13 @@ def closed(settings: Settings) -> Report:
         report.say("IPOPT: benchmarks/tetractl-ipopt is not installed: skipped.")
     rows = []
     for name, spec in contestants:
-        progress(f"(b) closed loop: {name}")
+        print_progress(f"(b) closed loop: {name}")
         run(replace_control(spec, time_limit=0.1), 1)  # warm up
         results = run(spec, settings.trials)
         rows.append([*_errors(name, results), *_times(results)])
     report.say(
         f"{settings.trials} trials, continuous plant, nothing disturbed; times of steps are p50 / "
-        f"p99 / max. {load()}."
+        f"p99 / max. {describe_load()}."
     )
     report.table([*HEAD, *TIMES], rows)
     return report

@@ -1,7 +1,7 @@
 """Other people's optimisers on our problems, each with the best settings that we found.
 
 All except IPOPT evaluate J with our compiled kernel, so that only the search is compared. Each
-optimiser restarts when it gets stuck, until J <= GOOD or the time is over.
+optimiser restarts when it gets stuck, until J <= GOOD_COST_MM or the time is over.
 """
 
 import importlib.util
@@ -25,9 +25,10 @@ from tetractl.spec.controller import OptimizerSection
 
 from .problems import PARTICLES
 
-GOOD = 1.0  # mm of total error
+GOOD_COST_MM = 1.0
+"""Total error J at which a search has succeeded [mm]."""
 Peer = Callable[["Meter", int], NoReturn]
-"""Searches, with a seed, until the meter raises Over."""
+"""A solver, as a function that searches with a seed until the meter raises RaceOver."""
 
 
 def available(module: str) -> bool:
@@ -35,8 +36,8 @@ def available(module: str) -> bool:
     return importlib.util.find_spec(module) is not None
 
 
-class Over(Exception):  # noqa: N818 - the end of a race is no error
-    """Raised when a solver has reached J <= GOOD, or when its time is over."""
+class RaceOver(Exception):  # noqa: N818 - the end of a race is no error
+    """Raised when a solver has reached J <= GOOD_COST_MM, or when its time is over."""
 
 
 class Meter:
@@ -45,43 +46,45 @@ class Meter:
     def __init__(self, problem: Problem, length: int, cap_s: float) -> None:
         self.problem = problem
         self.length = length
-        self.best = np.inf
-        self.begin = time.process_time()
-        self.end = self.begin + cap_s
+        self.best_cost = np.inf
+        self.start_s = time.process_time()
+        self.end_s = self.start_s + cap_s
 
-    def of_columns(self, signals: Floats) -> Floats:
-        """Evaluate J of signals (L, P)."""
-        total = compiled_costs(self.problem, signals.shape[1])(signals)
-        self.note(float(total.min()))
-        return total
+    def evaluate_columns(self, signals: Floats) -> Floats:
+        """Evaluate J of P sequences of L signals, given as the columns of an array (L, P)."""
+        costs = compiled_costs(self.problem, signals.shape[1])(signals)
+        self.note(float(costs.min()))
+        return costs
 
-    def of_rows(self, signals: Floats) -> Floats:
-        """Evaluate J of signals (P, L)."""
-        return self.of_columns(signals.T)
+    def evaluate_rows(self, signals: Floats) -> Floats:
+        """Evaluate J of P sequences of L signals, given as the rows of an array (P, L)."""
+        return self.evaluate_columns(signals.T)
 
     def note(self, cost: float) -> None:
-        self.best = min(self.best, cost)
-        if self.best <= GOOD or self.expired():
-            raise Over
+        """Record the cost of a sequence, and raise RaceOver if the race has ended."""
+        self.best_cost = min(self.best_cost, cost)
+        if self.best_cost <= GOOD_COST_MM or self.expired():
+            raise RaceOver
 
     def expired(self, _: int = 0) -> bool:
-        return time.process_time() >= self.end
+        """Check whether the processor time of the race is used up."""
+        return time.process_time() >= self.end_s
 
 
 def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> tuple[float, float]:
     """Run a solver, and return its processor time [s] and its best J."""
     meter = Meter(problem, length, cap_s)
-    with suppress(Over):
+    with suppress(RaceOver):
         peer(meter, seed)
-    return time.process_time() - meter.begin, meter.best
+    return time.process_time() - meter.start_s, meter.best_cost
 
 
-def _ours(optimizer: OptimizerSection) -> Peer:
+def _peer_of_optimizer(optimizer: OptimizerSection) -> Peer:
     def run(meter: Meter, seed: int) -> NoReturn:
         problem = meter.problem
         length = meter.length
-        for again in itertools.count():
-            key = mix(seed, again)
+        for restart in itertools.count():
+            key = mix(seed, restart)
             plan = optimizer.search(problem, length, None, key, Limits(expired=meter.expired))
             meter.note(float(evaluate(problem, plan.signals[None]).total[0]))
         raise AssertionError
@@ -89,11 +92,11 @@ def _ours(optimizer: OptimizerSection) -> Peer:
     return run
 
 
-_TARGET = TargetStop(type="target", cost=GOOD)
-_MULTISTART = Multistart(tolerance=GOOD, rounds=8)
-ours = _ours(_MULTISTART)
+_TARGET = TargetStop(type="target", cost=GOOD_COST_MM)
+_MULTISTART = Multistart(tolerance=GOOD_COST_MM, rounds=8)
+ours = _peer_of_optimizer(_MULTISTART)
 _SWARM = Pso(particles=PARTICLES, iterations=400, stop=_TARGET)
-our_pso = _ours(_SWARM)
+our_pso = _peer_of_optimizer(_SWARM)
 
 
 def compile_for(problem: Problem, length: int) -> None:
@@ -102,18 +105,18 @@ def compile_for(problem: Problem, length: int) -> None:
         optimizer.search(problem, length, np.zeros(length), 0, Limits())
 
 
-def reference(meter: Meter, seed: int) -> NoReturn:
+def numpy_reference(meter: Meter, seed: int) -> NoReturn:
     """Run our particle swarm, with J from the NumPy reference."""
 
     def numpy_costs(signals: np.ndarray) -> np.ndarray:
         return evaluate(meter.problem, signals.T).total
 
-    for again in itertools.count():
-        swarm = Swarm.scattered(_SWARM, meter.length, mix(seed, again), numpy_costs)
+    for restart in itertools.count():
+        swarm = Swarm.scattered(_SWARM, meter.length, mix(seed, restart), numpy_costs)
         while swarm.z < _SWARM.iterations:
             swarm.iterate()
             meter.note(swarm.best.cost)
-    raise Over
+    raise RaceOver
 
 
 def pyswarms(meter: Meter, seed: int) -> NoReturn:
@@ -123,7 +126,7 @@ def pyswarms(meter: Meter, seed: int) -> NoReturn:
     bounds = (np.full(meter.length, -np.pi), np.full(meter.length, np.pi))
     while True:
         swarm = GlobalBestPSO(PARTICLES, meter.length, OPTIONS, bounds, bh_strategy="nearest")
-        swarm.optimize(meter.of_rows, 400, verbose=False)
+        swarm.optimize(meter.evaluate_rows, 400, verbose=False)
 
 
 OPTIONS = {"w": 0.7, "c1": 1.5, "c2": 1.5}
@@ -134,14 +137,14 @@ def pycma(meter: Meter, seed: int) -> NoReturn:
     import cma
 
     rng = np.random.default_rng(seed)
-    for again in range(10**9):
-        options = {"seed": 1 + seed + 1000 * again, "verbose": -9, "popsize": 32}
+    for restart in range(10**9):
+        options = {"seed": 1 + seed + 1000 * restart, "verbose": -9, "popsize": 32}
         options |= {"CMA_diagonal": True, "tolflatfitness": 20}
         start = smooth_start(meter.problem, meter.length, rng)
         search = cma.CMAEvolutionStrategy(start, 0.2, options)
         while not search.stop():
             candidates = search.ask()
-            costs = meter.of_rows(np.array(candidates))
+            costs = meter.evaluate_rows(np.array(candidates))
             search.tell(candidates, costs.tolist())
     raise AssertionError
 
@@ -149,9 +152,9 @@ def pycma(meter: Meter, seed: int) -> NoReturn:
 def scipy_de(meter: Meter, seed: int) -> NoReturn:
     from scipy.optimize import differential_evolution
 
-    for again in range(10**9):
+    for restart in range(10**9):
         differential_evolution(
-            meter.of_columns,
+            meter.evaluate_columns,
             [(-np.pi, np.pi)] * meter.length,
             vectorized=True,
             updating="deferred",
@@ -162,7 +165,7 @@ def scipy_de(meter: Meter, seed: int) -> NoReturn:
             maxiter=10**6,
             tol=0,
             polish=False,
-            rng=np.random.default_rng([seed, again]),
+            rng=np.random.default_rng([seed, restart]),
         )
     raise AssertionError
 

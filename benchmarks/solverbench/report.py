@@ -10,12 +10,20 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How thorough a run is: the numbers of `seeds` and `trials` to average over."""
+    """How thorough a run is.
+
+    Attributes:
+        seeds: Number of seeds for our solver and for the printed problem.
+        peer_seeds: Number of seeds for other solvers on the recommended problem.
+        trials: Number of trials of the closed loop.
+        cap_s: Time limit of one search [s].
+        quick: Whether the run only shows that everything works.
+    """
 
     seeds: int
     peer_seeds: int
     trials: int
-    cap_s: float  # for one search of one peer
+    cap_s: float
     quick: bool
 
     @classmethod
@@ -37,26 +45,30 @@ class Report:
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         rule = ["---"] * len(head)
-        self.lines += [*map(_row, (head, rule, *rows)), ""]
+        self.lines += [*map(_format_row, (head, rule, *rows)), ""]
 
 
-def _row(cells: Sequence[str]) -> str:
+def _format_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def load() -> str:
+def describe_load() -> str:
     """Describe how busy the computer is: the load average over the last minute."""
     return f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
 
 
-def progress(text: str) -> None:
+def print_progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def spread(times: Sequence[float] | np.ndarray) -> str:
-    """Format p50 / p99 / max of some times [s], in ms."""
-    values = np.asarray(times) * 1e3
-    p50 = np.median(values)
-    p99 = np.quantile(values, 0.99)
-    top = values.max()
-    return f"{p50:.2f} / {p99:.2f} / {top:.2f}"
+def format_spread(times_s: Sequence[float] | np.ndarray) -> str:
+    """Format the median, the 99th percentile and the maximum of times in ms: "P50 / P99 / MAX".
+
+    Args:
+        times_s: The times [s].
+    """
+    times_ms = np.asarray(times_s) * 1e3
+    p50 = np.median(times_ms)
+    p99 = np.quantile(times_ms, 0.99)
+    longest = times_ms.max()
+    return f"{p50:.2f} / {p99:.2f} / {longest:.2f}"

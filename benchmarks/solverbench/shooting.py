@@ -24,13 +24,13 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
     """Create the solver for a race that lasts `cap_s`."""
 
     def run(meter: Meter, seed: int) -> NoReturn:
-        from tetractl_ipopt import promising
+        from tetractl_ipopt import best_random_starts
 
         rng = np.random.default_rng(seed)
         problem = meter.problem
         programme = shooter(problem, meter.length, cap_s)
         while True:
-            (start,) = promising(problem, meter.length, rng, 1)
+            (start,) = best_random_starts(problem, meter.length, rng, 1)
             solution = programme.solve(problem, start)
             meter.note(float(evaluate(problem, solution[None]).total[0]))
 
@@ -70,13 +70,15 @@ def shooter(problem: Problem, length: int, cap_s: float) -> Any:
     """Return the optimisation problem for a length. Building it is not timed."""
     import tetractl_ipopt
 
-    return tetractl_ipopt.shooter(problem, length, ITERATIONS, max(cap_s, 0.01))
+    return tetractl_ipopt.shooting_programme(problem, length, ITERATIONS, max(cap_s, 0.01))
 
 
 def build_all(problem: Problem, shortest: int) -> None:
     """Build the optimisation problems that a closed loop needs, before its time counts."""
     import tetractl_ipopt
 
-    tetractl_ipopt.shooter(problem, LENGTH, tetractl_ipopt.ITERATIONS)
+    tetractl_ipopt.shooting_programme(problem, LENGTH, tetractl_ipopt.ITERATIONS_COLD)
     for length in range(shortest, LENGTH + 1):
-        tetractl_ipopt.shooter(problem, length, tetractl_ipopt.POLISH, warm=True)
+        tetractl_ipopt.shooting_programme(
+            problem, length, tetractl_ipopt.ITERATIONS_WARM, warm=True
+        )

@@ -26,7 +26,9 @@ def package(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks/tetractl-ipopt"))
     import tetractl_ipopt
 
-    monkeypatch.setattr(tetractl_ipopt, "shooter", lambda *sizes, **options: EchoedGuess())
+    monkeypatch.setattr(
+        tetractl_ipopt, "shooting_programme", lambda *sizes, **options: EchoedGuess()
+    )
     yield tetractl_ipopt
     del sys.modules["tetractl_ipopt"]
 

@@ -44,6 +44,6 @@ def test_robots_that_are_not_seen_together_are_in_different_frames():
     """Rows of 3 ms are one frame, a robot's next row is another one."""
     first = np.array([[0.0, 1, 1, 0], [0.016, 1, 1, 0]])
     second = np.array([[0.003, 2, 2, 0], [0.030, 2, 2, 0]])
-    times_s, shown = mrclam_guard.frames_of([first, second])
+    times_s, shown = mrclam_guard.join_frames([first, second])
     assert times_s.tolist() == [0.0, 0.016, 0.030]
     assert np.isnan(shown[:, :, 0]).tolist() == [[False, False], [False, True], [True, False]]

@@ -5,9 +5,9 @@ the cost is the sum of the squared distances to the targets. Obstacles are const
 samples. They are smooth curves around their bounds, because IPOPT needs second derivatives. A shape
 that no robot can drive around in time is a wall, which limits the positions.
 
-A nonlinear programme depends only on numbers that seldom change: of robots, signals and boxes. All
-other values, including the estimates of the robots, are parameters, so that programmes are built
-once.
+A nonlinear programme depends only on the numbers of robots, signals and boxes, which seldom change.
+All other values, including the estimates of the robots, are parameters of the programme, so that it
+is built only once.
 
 There are two programmes for each size, because measurements showed that both are needed to
 converge. From a random start, IPOPT approximates the Hessian by BFGS, because few starts converge
@@ -29,23 +29,36 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.spec.base import Positive
 from tetractl.spec.controller import OptimizerSection
 
-BEND = 0.02  # units within which a box's corner is rounded
-SWEPT = 0.4  # of the way of a period: so much are obstacles grown, that no step cuts a corner
-KNOTS = 4  # of a random start, a robot ...
-LEAST_KNOTS = 12  # ... and at least
-SCATTERED = 64  # random starts of which the best are taken
-TOUCH = 1e-3  # units that walls are kept away from: their edges belong to them
-NEAR = 1e-6  # weight of what a warm start is changed by: it makes the Hessian regular
-ENDLESS = 1e9  # s
-STARTS = 3  # of a search that has no warm start, the best of many random ones
-ITERATIONS = 60  # of IPOPT from one random start
-POLISH = 40  # from a warm start, and from what a random start has led to
-ITERATIONS_ALL = 150  # in one search, after which no further start is made
+CORNER_RADIUS = 0.02
+"""Distance within which the corners of a box are rounded [programme's length unit]."""
+GROWN_FRACTION = 0.4
+"""Growth of obstacles as a fraction of a robot's path in a period. No step then cuts a corner."""
+KNOTS_PER_ROBOT = 4
+"""Number of knots of a random start for each robot."""
+KNOTS_MIN = 12
+"""Minimum number of knots of a random start."""
+RANDOM_STARTS = 64
+"""Number of random starts from which the best are chosen."""
+WALL_GAP = 1e-3
+"""Distance that robots keep from walls, whose edges belong to them [programme's length unit]."""
+GUESS_WEIGHT = 1e-6
+"""Weight of the squared distance from a warm start, which makes the Hessian regular."""
+NO_LIMIT_S = 1e9
+"""Time limit of a solution that is not limited [s]."""
+STARTS = 3
+"""Number of random starts that a search without a warm start solves from."""
+ITERATIONS_COLD = 60
+"""Maximum number of IPOPT iterations from one random start."""
+ITERATIONS_WARM = 40
+"""Maximum number of IPOPT iterations from a warm start, or from the result of a random start."""
+ITERATIONS_ALL = 150
+"""Number of IPOPT iterations in one search after which no further start is made."""
 
-PIVOT = 1e-8  # as IPOPT has it for MA57; with MUMPS's 1e-6 some solutions take eight times as long
-SHARED = {"print_level": 0, "sb": "yes", "mumps_pivtol": PIVOT}
-COLD = {"hessian_approximation": "limited-memory", "tol": 1e-6}
-WARM = {
+PIVOT_TOLERANCE = 1e-8
+"""IPOPT's default for MA57. With MUMPS's 1e-6, some solutions take eight times as long."""
+SHARED_OPTIONS = {"print_level": 0, "sb": "yes", "mumps_pivtol": PIVOT_TOLERANCE}
+COLD_OPTIONS = {"hessian_approximation": "limited-memory", "tol": 1e-6}
+WARM_OPTIONS = {
     "tol": 1e-5,
     "constr_viol_tol": 1e-4,
     "mu_strategy": "adaptive",
@@ -92,15 +105,15 @@ class Ipopt(OptimizerSection):
         solutions = _Solutions(problem, length, limits, self.tolerance)
         if warm is not None:
             solutions.note(warm)
-            solutions.solve(warm, POLISH, warm=True)
+            solutions.solve(warm, ITERATIONS_WARM, warm=True)
             return solutions.search()
         rng = np.random.default_rng(key)
-        starts = promising(problem, length, rng, STARTS)
+        starts = best_random_starts(problem, length, rng, STARTS)
         solutions.note(starts[0])
         for start in starts:
-            first = solutions.solve(start, ITERATIONS, warm=False)
+            first = solutions.solve(start, ITERATIONS_COLD, warm=False)
             if first is not None:
-                solutions.solve(first, POLISH, warm=True)
+                solutions.solve(first, ITERATIONS_WARM, warm=True)
         return solutions.search()
 
 
@@ -111,7 +124,7 @@ class _Solutions(Progress):
         super().__init__(length, limits)
         self.problem = problem
         self.tolerance = tolerance
-        self.left = ITERATIONS_ALL
+        self.iterations_left = ITERATIONS_ALL
 
     def note(self, signals: Floats) -> None:
         """Evaluate one sequence. The search is over if it is good enough."""
@@ -120,36 +133,43 @@ class _Solutions(Progress):
             self.ended = StopReason.TARGET
 
     def solve(self, guess: Floats, iterations: int, warm: bool) -> Floats | None:
-        """Solve from a guess, and return the result. None if the search is over."""
+        """Solve from a guess, and return the directions found. None if the search is over."""
         if self.ended is None:
             self.ended = self.limit_before(1)
-        if self.ended is not None or self.left <= 0:
+        if self.ended is not None or self.iterations_left <= 0:
             return None
-        programme = shooter(self.problem, self.length, iterations, warm=warm)
+        programme = shooting_programme(self.problem, self.length, iterations, warm=warm)
         signals = wrap(programme.solve(self.problem, guess))
-        self.left -= programme.iterations
+        self.iterations_left -= programme.iterations
         self.note(signals)
         return signals
 
 
-def promising(
+def best_random_starts(
     problem: Problem, length: int, rng: np.random.Generator, count: int
 ) -> Sequence[Floats]:
-    """Return the `count` best of many random curves (length,), best first."""
-    knots_max = max(LEAST_KNOTS, KNOTS * problem.a.size)
-    size = min(knots_max, length), max(SCATTERED, count)
+    """Return the best of many random curves (length,) through random directions, best first.
+
+    Args:
+        problem: The problem.
+        length: Number of signals of each curve.
+        rng: Source of the random directions.
+        count: Number of curves to return.
+    """
+    knots_max = max(KNOTS_MIN, KNOTS_PER_ROBOT * problem.a.size)
+    shape = min(knots_max, length), max(RANDOM_STARTS, count)
     x, y = (problem.targets - problem.poses.xy).T
     bearing = np.arctan2(y.sum(), x.sum())  # of the mean vector from robots to targets
-    knots = rng.uniform(-np.pi, np.pi, size)
-    places = np.linspace(0, len(knots) - 1, length)
-    turns = [np.interp(places, range(len(knots)), of_curve) for of_curve in knots.T]
+    knots = rng.uniform(-np.pi, np.pi, shape)
+    positions = np.linspace(0, len(knots) - 1, length)
+    turns = [np.interp(positions, range(len(knots)), knots_of_curve) for knots_of_curve in knots.T]
     curves = bearing + np.array(turns).T
     costs = evaluate(problem, curves.T).total
     return [curves[:, i] for i in np.argsort(costs, kind="stable")[:count]]
 
 
-def unit_of(problem: Problem) -> float:
-    """Return the length unit of a programme: the distance of the fastest robot in five seconds."""
+def length_unit(problem: Problem) -> float:
+    """Compute the programme's length unit: how far the fastest robot moves in five seconds."""
     return 5.0 * float(problem.speed.max())
 
 
@@ -171,41 +191,49 @@ class Scene:
         A box that spans everything within reach, with all robots and targets on the same side, is a
         wall. It is not grown, because it has no corners.
         """
-        unit = unit_of(problem)
+        unit = length_unit(problem)
         xy = np.vstack([problem.poses.xy, problem.targets]) / unit
-        way = problem.seconds(length) * float(problem.speed.max()) / unit
+        reach = problem.seconds(length) * float(problem.speed.max()) / unit
         start = problem.poses.xy / unit
-        low = start.min(axis=0) - way
-        high = start.max(axis=0) + way
-        grown = SWEPT * problem.period * float(problem.speed.max()) * problem.swept
+        reach_low = start.min(axis=0) - reach
+        reach_high = start.max(axis=0) + reach
+        grown = GROWN_FRACTION * problem.period * float(problem.speed.max()) * problem.swept
         field = np.array([-np.inf, -np.inf, np.inf, np.inf])
         boxes: list[Floats] = []
         region: Any = problem.obstacles
         if region.inside is not None:  # the walls of the arena
-            outside = np.array([-1.0, -1.0, 1.0, 1.0]) * TOUCH * unit
-            field = (region.walls - outside) / unit
+            margins = np.array([-1.0, -1.0, 1.0, 1.0]) * WALL_GAP * unit
+            field = (region.walls - margins) / unit
         for shape in region.shapes:
-            bare = np.array(shape.grown(TOUCH * unit).box) / unit
+            ungrown = np.array(shape.grown(WALL_GAP * unit).box) / unit
             box = np.array(shape.grown(grown).box) / unit
-            if (box[:2] > high).any() or (box[2:] < low).any():
+            if (box[:2] > reach_high).any() or (box[2:] < reach_low).any():
                 continue
-            side = _side(bare, xy, low, high)
+            side = _wall_side(ungrown, xy, reach_low, reach_high)
             if side is None:
                 boxes.append(box)
             elif side < 2:
-                field[side] = max(field[side], bare[side + 2])
+                field[side] = max(field[side], ungrown[side + 2])
             else:
-                field[side] = min(field[side], bare[side - 2])
+                field[side] = min(field[side], ungrown[side - 2])
         field[:2] = np.minimum(field[:2], xy.min(axis=0))  # who is beyond a wall may be there
         field[2:] = np.maximum(field[2:], xy.max(axis=0))
         return cls(boxes, field)
 
 
-def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
-    """Return the side of the field beyond which a box is a wall. None if it is no wall.
+def _wall_side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
+    """Find the side of the field on which a box is a wall.
 
-    Sides count as in `field`. The positions xy (M, 2) are on one side of a wall, and the wall must
-    span `low` to `high`.
+    A wall spans the reach of the robots across this side, and has all positions on its inner side.
+
+    Args:
+        box: Left, bottom, right and top of the box.
+        xy: Positions of all robots and targets, shape (M, 2).
+        low: Minimum x and y that a robot can reach.
+        high: Maximum x and y that a robot can reach.
+
+    Returns:
+        The index of the side in `Scene.field`. None if the box is not a wall.
     """
     for axis in (0, 1):
         across = 1 - axis
@@ -218,10 +246,20 @@ def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
 
 
 class Shooter:
-    """The nonlinear programme for sequences of one length. All but counts are its parameters.
+    """The nonlinear programme for sequences of one length, with IPOPT as its solver.
 
-    Lengths are in the unit from `unit_of`, so that variables are near 1. `near` is the weight of
-    changes of the directions. `options` are IPOPT's. `iterations` are those of the last solution.
+    Lengths are in the unit from `length_unit`, so that variables are near 1.
+
+    Args:
+        motion: Name of the motion model.
+        count: Number of robots.
+        length: Number of signals.
+        boxes: Number of obstacles.
+        guess_weight: Weight of the squared change of the directions from the guess.
+        options: Options of IPOPT.
+
+    Attributes:
+        iterations: Number of IPOPT iterations of the last solution.
     """
 
     def __init__(
@@ -230,37 +268,39 @@ class Shooter:
         count: int,
         length: int,
         boxes: int,
-        near: float,
+        guess_weight: float,
         options: Mapping[str, Any],
     ) -> None:
         import casadi as ca
 
         self.length = length
-        self.near = near
+        self.guess_weight = guess_weight
         self.iterations = 0
-        stages = count * length
+        columns = count * length
         u = ca.MX.sym("u", 1, length)
-        states = ca.MX.sym("s", 3, stages)
+        states = ca.MX.sym("s", 3, columns)
         start = ca.MX.sym("p", 3, count)
         targets = ca.MX.sym("t", 2, count)
         robots = ca.MX.sym("r", 2, count)
-        held = ca.MX.sym("h", 1, length)
+        hold_s = ca.MX.sym("h", 1, length)
         guess = ca.MX.sym("n", 1, length)
         scene = ca.MX.sym("b", 4, boxes)
         signal = np.repeat(np.arange(length), count).tolist()  # of each column of `states`
-        before = ca.horzcat(start, states[:, : stages - count])
-        step = _step(motion).map(stages)
-        after = step(before, u[:, signal], ca.repmat(robots, 1, length), held[:, signal])
-        defects = [ca.vec(after - states)]
-        outside = _outside().map(stages)
+        states_before = ca.horzcat(start, states[:, : columns - count])
+        step = _step_function(motion).map(columns)
+        states_after = step(
+            states_before, u[:, signal], ca.repmat(robots, 1, length), hold_s[:, signal]
+        )
+        defects = [ca.vec(states_after - states)]
+        outside_box = _outside_function().map(columns)
         for i in range(boxes):
-            box = ca.repmat(scene[:, i], 1, stages)
-            defects.append(ca.vec(outside(states[:2, :], box)))
-        cost = ca.sumsqr(states[:2, stages - count :] - targets)
+            box = ca.repmat(scene[:, i], 1, columns)
+            defects.append(ca.vec(outside_box(states[:2, :], box)))
+        cost = ca.sumsqr(states[:2, columns - count :] - targets)
         programme = {
             "x": ca.vertcat(ca.vec(u), ca.vec(states)),
-            "p": ca.vertcat(*map(ca.vec, (start, robots, held, targets, scene, guess))),
-            "f": cost + near * ca.sumsqr(u - guess),
+            "p": ca.vertcat(*map(ca.vec, (start, robots, hold_s, targets, scene, guess))),
+            "f": cost + guess_weight * ca.sumsqr(u - guess),
             "g": ca.vertcat(*defects),
         }
         settings = {"print_time": False, "ipopt": dict(options)}
@@ -269,10 +309,10 @@ class Shooter:
     def solve(self, problem: Problem, guess: Floats) -> Floats:
         """Compute the directions (L,) from a guess (L,).
 
-        A robot that starts or should end within the curve around an obstacle may come as near to
-        the obstacle.
+        If a robot starts or has its target within the curve around an obstacle, it may come as near
+        to the obstacle as this start or target.
         """
-        unit = unit_of(problem)
+        unit = length_unit(problem)
         length = self.length
         scene = Scene.of(problem, self.length)
         path = predict(problem, guess)[1:]  # (L, N, 3)
@@ -280,90 +320,95 @@ class Shooter:
         poses = problem.poses.array()
         targets = problem.targets / unit
         poses[:, :2] /= unit
-        held = np.full(length, problem.period)
-        held[0] = problem.first_period
+        hold_s = np.full(length, problem.period)
+        hold_s[0] = problem.first_period
         robots = np.column_stack([problem.a, problem.speed / unit])
-        low = np.full_like(path, -np.inf)
-        high = np.full_like(path, np.inf)
-        low[..., :2] = scene.field[:2]
-        high[..., :2] = scene.field[2:]
-        free = np.full(length, np.inf)
-        least = [np.zeros(path.size)]
+        state_min = np.full_like(path, -np.inf)
+        state_max = np.full_like(path, np.inf)
+        state_min[..., :2] = scene.field[:2]
+        state_max[..., :2] = scene.field[2:]
+        unlimited = np.full(length, np.inf)
+        constraints_min = [np.zeros(path.size)]
         ends = np.vstack([poses[:, :2], targets])
         for box in scene.boxes:
             box_of_ends = np.tile(box[:, None], len(ends))
-            room = np.array(_outside()(ends.T, box_of_ends)).ravel()
-            robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
-            least.append(np.tile(robot, length))
-        lowest = np.concatenate(least)
-        parts = poses, robots, held, targets, *scene.boxes, guess
+            distances = np.array(_outside_function()(ends.T, box_of_ends)).ravel()
+            allowed = np.minimum(distances, 0.0).reshape(2, -1).min(axis=0)
+            constraints_min.append(np.tile(allowed, length))
+        constraint_min = np.concatenate(constraints_min)
+        parts = poses, robots, hold_s, targets, *scene.boxes, guess
         solution = self.solver(
             x0=np.concatenate([guess, path.ravel()]),
             p=np.concatenate([np.ravel(part) for part in parts]),
-            lbx=np.concatenate([-free, low.ravel()]),
-            ubx=np.concatenate([free, high.ravel()]),
-            lbg=lowest,
-            ubg=np.where(np.arange(lowest.size) < path.size, 0.0, np.inf),
+            lbx=np.concatenate([-unlimited, state_min.ravel()]),
+            ubx=np.concatenate([unlimited, state_max.ravel()]),
+            lbg=constraint_min,
+            ubg=np.where(np.arange(constraint_min.size) < path.size, 0.0, np.inf),
         )
         self.iterations = self.solver.stats()["iter_count"]
         return np.array(solution["x"]).ravel()[:length]
 
 
-def shooter(
-    problem: Problem, length: int, iterations: int, cap_s: float = ENDLESS, warm: bool = False
+def shooting_programme(
+    problem: Problem, length: int, iterations: int, cap_s: float = NO_LIMIT_S, warm: bool = False
 ) -> Shooter:
-    """Return the programme for a length, from random or warm starts. It is built once in a process.
+    """Return the programme for sequences of one length. Each programme is built once in a process.
 
-    A solution ends after a number of iterations, or after `cap_s` [s].
+    Args:
+        problem: The problem, which determines the numbers of robots and boxes.
+        length: Number of signals.
+        iterations: Maximum number of IPOPT iterations of a solution.
+        cap_s: Maximum duration of a solution [s].
+        warm: Whether solutions begin at warm starts instead of random ones.
     """
     counts = problem.a.size, length, len(Scene.of(problem, length).boxes)
-    return _built(problem.motion, *counts, iterations, cap_s, warm)
+    return _cached_shooter(problem.motion, *counts, iterations, cap_s, warm)
 
 
 @cache
-def _built(
+def _cached_shooter(
     motion: str, count: int, length: int, boxes: int, iterations: int, cap_s: float, warm: bool
 ) -> Shooter:
-    options = SHARED | (WARM if warm else COLD)
+    options = SHARED_OPTIONS | (WARM_OPTIONS if warm else COLD_OPTIONS)
     options |= {"max_iter": iterations, "max_wall_time": cap_s}
-    return Shooter(motion, count, length, boxes, NEAR if warm else 0.0, options)
+    return Shooter(motion, count, length, boxes, GUESS_WEIGHT if warm else 0.0, options)
 
 
 @cache
-def _step(motion: str) -> Any:
+def _step_function(motion: str) -> Any:
     """Return one step of one robot as a function of (state, u, (a, speed), T)."""
     import casadi as ca
 
-    s = ca.SX.sym("s", 3)
+    state = ca.SX.sym("s", 3)
     u = ca.SX.sym("u")
     robot = ca.SX.sym("r", 2)
-    t = ca.SX.sym("t")
-    x = s[0]
-    y = s[1]
-    heading = s[2]
+    period = ca.SX.sym("t")
+    x = state[0]
+    y = state[1]
+    heading = state[2]
     a = robot[0]
     v = robot[1]
     phi = u - heading
     if motion == "euler":
-        east = t * v * ca.cos(heading)
-        north = t * v * ca.sin(heading)
-        turn = t * a * ca.sin(phi)
+        east = period * v * ca.cos(heading)
+        north = period * v * ca.sin(heading)
+        turn = period * a * ca.sin(phi)
     else:
-        e = ca.exp(-a * t)
-        c = ca.cos(phi)
-        sin = ca.sin(phi)
-        d = (1 + c) + (1 - c) * e * e
-        turn = 2 * ca.atan2(sin * (1 - e), (1 + c) + (1 - c) * e)
-        along = v * (t + ca.log(d / 2) / a)
+        remaining = ca.exp(-a * period)
+        cos_phi = ca.cos(phi)
+        sin_phi = ca.sin(phi)
+        two_h = (1 + cos_phi) + (1 - cos_phi) * remaining * remaining
+        turn = 2 * ca.atan2(sin_phi * (1 - remaining), (1 + cos_phi) + (1 - cos_phi) * remaining)
+        along = v * (period + ca.log(two_h / 2) / a)
         right = v * turn / a
         east = along * ca.cos(u) + right * ca.sin(u)
         north = along * ca.sin(u) - right * ca.cos(u)
-    new = ca.vertcat(x + east, y + north, heading + turn)
-    return ca.Function("step", [s, u, robot, t], [new])
+    state_after = ca.vertcat(x + east, y + north, heading + turn)
+    return ca.Function("step", [state, u, robot, period], [state_after])
 
 
 @cache
-def _outside() -> Any:
+def _outside_function() -> Any:
     """Return a function of a position and a box that is at least 0 outside of the box.
 
     Near its zero, the function is about the distance in units. It is a smooth maximum of the
@@ -371,12 +416,12 @@ def _outside() -> Any:
     """
     import casadi as ca
 
-    time = ca.SX.sym("at", 2)
+    position = ca.SX.sym("at", 2)
     box = ca.SX.sym("box", 4)
-    x = time[0]
-    y = time[1]
-    sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / BEND
+    x = position[0]
+    y = position[1]
+    sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / CORNER_RADIUS
     largest = ca.mmax(sides)
     exponentials = ca.exp(sides - largest)
-    soft = largest + ca.log(ca.sum1(exponentials)) - np.log(2)
-    return ca.Function("box", [time, box], [BEND * soft])
+    smooth_max = largest + ca.log(ca.sum1(exponentials)) - np.log(2)
+    return ca.Function("box", [position, box], [CORNER_RADIUS * smooth_max])

@@ -322,7 +322,7 @@ def test_what_is_no_trial_and_no_batch_is_refused_in_one_line(name, data):
 @pytest.mark.parametrize("progress", [True, False])
 def test_a_batch_says_now_and_then_how_far_it_is(tmp_path, monkeypatch, capsys, progress):
     """Regression: a batch of 372 s said no word."""
-    monkeypatch.setattr("tetractl.view.terminal.progress.PAUSE_S", 0.0)
+    monkeypatch.setattr("tetractl.view.terminal.progress.LINE_INTERVAL_S", 0.0)
     tetractl.run_batch(tetractl.parse_spec(SPEC), tmp_path, progress=progress)
     printed = capsys.readouterr()
     first, *rest = printed.err.splitlines() or [""]

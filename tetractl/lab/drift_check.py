@@ -46,7 +46,7 @@ from tetractl.lab.motion_check import (
     CommandHistory,
     MotionCheck,
 )
-from tetractl.model.motion.wheel_equations import rolled
+from tetractl.model.motion.wheel_equations import arc_displacement
 
 BLOCK_NS = SECOND // 20
 """Duration of a block, over which motion is compared with commands [ns]."""
@@ -271,7 +271,7 @@ class DriftCheck(GuardCheck):
         speed_mm_s, turning_rad_s = commanded[:, i]
         distance = speed_mm_s / self._mm * ahead_ns / SECOND
         turned = turning_rad_s * ahead_ns / SECOND
-        dx, dy = rolled(pose.heading, turned, distance)
+        dx, dy = arc_displacement(pose.heading, turned, distance)
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
 
     def describe_turning(self) -> str:

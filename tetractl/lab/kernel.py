@@ -34,7 +34,7 @@ from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.model.motion.wheel_equations import rolled
+from tetractl.model.motion.wheel_equations import arc_displacement
 
 SPEED_FACTOR = 2.0
 """Multiple of a robot's speed and turning limits above which its pose counts as a jump."""
@@ -270,7 +270,7 @@ class PlaceCheck(GuardCheck):
         """
         reaction_s = self._rules.limits.reaction
         turned = self._turning[robot] * reaction_s
-        dx, dy = rolled(pose.heading, turned, self._speeds[robot] * reaction_s)
+        dx, dy = arc_displacement(pose.heading, turned, self._speeds[robot] * reaction_s)
         return self._compute_depth(pose.x + dx, pose.y + dy)
 
     def _compute_depth(self, x: float, y: float) -> float:

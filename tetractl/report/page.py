@@ -36,24 +36,25 @@ from tetractl.tools.table.table import UNKNOWN_TEXT, Column, Table
 from tetractl.tools.table.table_files import convert_to_plain
 from tetractl.tools.table.terminal_table import format_html
 
-MANY = 100
-"""Maximum number of trials of which the page contains all, with plans and searches."""
-CARRIED = 61
-"""Approximate number of trials on the page if there are more, without plans and searches.
+COMPLETE_MAX = 100
+"""Maximum number of trials for a page that contains all trials with their plans and searches."""
+CARRIED_MAX = 61
+"""Approximate number of trials on a page that cannot contain all trials.
 
-The page then stays below 5 MB. Its tables have all trials.
+They are shown without plans and searches, so that the page stays below 5 MB. The tables on the page
+have all trials.
 """
 CARRIED_MIN = 3
 """Minimum number of trials of a batch that the page contains."""
-LEFT_OUT = (
+NOTE_OF_SELECTION = (
     "<p>This page contains {} of {} trials, without their plans and searches. From "
     "each batch, it has trials at evenly spaced ranks of the total error, from the "
     "best to the worst, and some trials that do not count in the means. The tables "
     "contain all trials.</p>"
 )
-NOT_COUNTED = 3
-"""At most one of this many trials on a page is a trial that does not count in the means."""
-COMPARED_MOST = 10
+EXCLUDED_RATIO = 3
+"""At most one of this many trials on a page is a trial that the means exclude."""
+CONTRASTS_MAX = 10
 """Maximum number of comparisons that are shown at the top of the page."""
 TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 """The figures of the first trial, in their order."""
@@ -94,30 +95,30 @@ def report(
         UsageError: If there is no log, or if the trials of a batch belong to several experiments.
         LogError: If no log can be read.
     """
-    groups, unread = _batches(paths, progress)
-    count = sum(len(group.batch.logs) for group in groups)
-    complete = count <= MANY
-    carried = _Carried(complete)
+    groups, unread = _read_batches(paths, progress)
+    log_count = sum(len(group.batch.logs) for group in groups)
+    complete = log_count <= COMPLETE_MAX
+    carried = _CarriedLogs(complete)
     for group in groups:
         carried.add(group, len(groups))
     trials = carried.trials
     first = carried.first
     numbers = {trial.path: number for number, trial in enumerate(trials, 1)}
     experiments = dict.fromkeys(group.experiment.name for group in groups)
-    of_study = len(paths) == 1 and len(groups) > 1
-    name = title or (paths[0].resolve().name if of_study else ", ".join(experiments))
+    is_study = len(paths) == 1 and len(groups) > 1
+    name = title or (paths[0].resolve().name if is_study else ", ".join(experiments))
     compared = contrast(groups)
-    parts = [_header(name, compared, numbers)]
+    parts = [_header_html(name, compared, numbers)]
     if first is not None:
-        note = "" if complete else LEFT_OUT.format(len(trials), count)
-        parts.append(_player(trials, groups[0].unit, note))
+        note = "" if complete else NOTE_OF_SELECTION.format(len(trials), log_count)
+        parts.append(_player_html(trials, groups[0].unit, note))
     if carried.errors:
         parts.append(f"<section><h2>Errors</h2>{carried.errors}</section>")
-    parts.append(_statistics(compared, numbers))
+    parts.append(_statistics_html(compared, numbers))
     if first is not None:
         figures = figures_of_trial(first)
         parts.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
-        parts.append(_provenance(first))
+        parts.append(_provenance_html(first))
     page = html_page(name, "".join(parts), SCRIPTS if trials else ())
     return page, [*unread, *carried.unread]
 
@@ -133,9 +134,9 @@ def player(logs: Sequence[TrialLog]) -> FramedPage:
     trials: list[_CarriedTrial] = []
     for log in logs:
         name = Path(log.log).name
-        data = trial_data(log, name, len(logs) <= MANY)
+        data = trial_data(log, name, len(logs) <= COMPLETE_MAX)
         trials.append(_CarriedTrial(log.log, name, data))
-    parts = header + _player(trials, logs[0].experiment.units.length)
+    parts = header + _player_html(trials, logs[0].experiment.units.length)
     body = f'<div class="framed">{parts}</div>'
     return FramedPage(html_page(title, body, SCRIPTS), PLAYER_PX)
 
@@ -143,11 +144,17 @@ def player(logs: Sequence[TrialLog]) -> FramedPage:
 # ---- Reading ----
 
 
-class _Carried:
-    """The logs that the page contains, which are all logs of its batches if `complete`.
+class _CarriedLogs:
+    """The logs whose data the page contains.
 
-    `trials` are the trials to play, `errors` the figures of the errors over time, and `first` is
-    the first trial. `unread` lists the faults found in logs.
+    Args:
+        complete: Whether the page contains all logs of its batches.
+
+    Attributes:
+        trials: The trials to play.
+        errors: HTML of the figures of errors over time.
+        first: The first trial. None if no log could be read.
+        unread: The faults found in logs.
     """
 
     def __init__(self, complete: bool) -> None:
@@ -158,9 +165,13 @@ class _Carried:
         self.unread: list[str] = []
 
     def add(self, group: BatchStatistics, groups: int) -> None:
-        """Read the logs of one batch, and add their data. The page has `groups` batches.
+        """Read the logs of one batch, and add their data.
 
         A log that cannot be read is left out, and its error is added to `unread`.
+
+        Args:
+            group: The batch.
+            groups: Number of batches on the page.
         """
         logs: list[TrialLog] = []
         for path in group.batch.logs if self._complete else logs_to_carry(group, groups):
@@ -170,38 +181,45 @@ class _Carried:
                 self.unread.append(error.message)
                 continue
             self.first = self.first or log
-            logs.append(lean(log))
+            logs.append(without_details(log))
             name = f"{group.name}, {path.name}" if groups > 1 else path.name
             data = trial_data(log, path.name, self._complete)
             self.trials.append(_CarriedTrial(str(path), name, data))
-        which = [group.name] if groups > 1 else []
+        descriptions = [group.name] if groups > 1 else []
         if not self._complete:
-            which.append(f"the {len(logs)} trials on this page")
-        self.errors += errors_over_time(", ".join(which), logs)
+            descriptions.append(f"the {len(logs)} trials on this page")
+        self.errors += errors_over_time(", ".join(descriptions), logs)
 
 
 def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
     """Select which logs of a batch go into a page that cannot contain all of them.
 
-    They are trials at evenly spaced ranks of the total error, from the best to the worst, and some
-    that do not count, in the order of the trials. The page has `groups` batches.
+    These are trials at evenly spaced ranks of the total error, from the best to the worst, and some
+    trials that do not count.
+
+    Args:
+        group: The batch.
+        groups: Number of batches on the page.
+
+    Returns:
+        The logs, in the order of the trials.
     """
     logs = set(group.batch.logs)
     logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
-    most = max(CARRIED_MIN, CARRIED // groups)
-    not_counted = [trial for trial in logged if not counts(trial)][: most // NOT_COUNTED]
+    trials_max = max(CARRIED_MIN, CARRIED_MAX // groups)
+    not_counted = [trial for trial in logged if not counts(trial)][: trials_max // EXCLUDED_RATIO]
     counted = [trial for trial in logged if counts(trial)]
     counted.sort(key=lambda trial: trial.result.total_error)
-    places = most - len(not_counted)
-    if len(counted) > places:
-        step = (len(counted) - 1) / max(1, places - 1)
-        ranks = [round(place * step) for place in range(places)]
+    counted_max = trials_max - len(not_counted)
+    if len(counted) > counted_max:
+        step = (len(counted) - 1) / max(1, counted_max - 1)
+        ranks = [round(rank * step) for rank in range(counted_max)]
         counted = [counted[rank] for rank in ranks]
     chosen = {trial.log for trial in (*not_counted, *counted)}
     return [Path(trial.log) for trial in logged if trial.log in chosen]
 
 
-def _batches(
+def _read_batches(
     paths: Sequence[Path], progress: Callable[[int, int], None]
 ) -> tuple[list[BatchStatistics], list[str]]:
     """Read the logs: those of each folder as a batch, and all single logs as one more batch.
@@ -236,42 +254,44 @@ def _batches(
 # ---- Parts of the page ----
 
 
-def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of the page's head: title, results, verdicts, and a figure of all errors.
+def _header_html(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
+    """Compose the page's head: title, results, verdicts, and a figure of all errors.
 
     Verdicts are left out if there are more than COMPARED_MOST comparisons.
     """
     groups = compared.groups
-    about = escape(groups[0].experiment.description)
-    top = [_overview(groups)]
-    if 0 < len(compared.contrasts) <= COMPARED_MOST:
-        top.append(differences_table(compared.contrasts))
+    description = escape(groups[0].experiment.description)
+    tables_at_top = [_overview_table(groups)]
+    if 0 < len(compared.contrasts) <= CONTRASTS_MAX:
+        tables_at_top.append(differences_table(compared.contrasts))
     return (
-        f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
+        f"<header><div><h1>{escape(title)}</h1><p>{description}</p></div>"
         f"{THEME}</header>"
-        f'<div class="top">{_tables(top)}{total_errors(groups, numbers)}</div>'
+        f'<div class="top">{_tables_html(tables_at_top)}{total_errors(groups, numbers)}</div>'
     )
 
 
-def _overview(groups: Sequence[BatchStatistics]) -> Table:
-    """Return a table with one row per batch: mean total error, and the numbers of unsafe trials.
+def _overview_table(groups: Sequence[BatchStatistics]) -> Table:
+    """Create a table with one row per batch: mean total error, and the numbers of unsafe trials.
 
-    An interval that is unknown is shown as NONE.
+    An unknown interval is shown as NONE.
     """
     totals = [group.total for group in groups]
     means = [total.mean for total in totals]
-    least = min((total.mean for total in totals if total.n), default=math.nan)
-    show = error_format(least, decimals_shown(groups[0].experiment))
-    intervals = [total.ci95.text(show) if total.ci95.known else UNKNOWN_TEXT for total in totals]
+    smallest_mean = min((total.mean for total in totals if total.n), default=math.nan)
+    format_error = error_format(smallest_mean, decimals_shown(groups[0].experiment))
+    intervals = [
+        total.ci95.text(format_error) if total.ci95.known else UNKNOWN_TEXT for total in totals
+    ]
     columns = [
         Column("batch", [group.name for group in groups]),
         Column("n", [total.n for total in totals]),
-        Column("mean total error", means, unit_of(groups[0].unit), show),
+        Column("mean total error", means, unit_of(groups[0].unit), format_error),
         Column("95 % interval", intervals),
     ]
-    texts = [texts_by_label(group) for group in groups]
+    texts_of_batches = [texts_by_label(group) for group in groups]
     for label in SAFETY:
-        numbers_of_unsafe = [of_batch[label].partition(" (")[0] for of_batch in texts]
+        numbers_of_unsafe = [texts[label].partition(" (")[0] for texts in texts_of_batches]
         columns.append(Column(label, numbers_of_unsafe))
     plants: list[str] = []
     for group in groups:
@@ -286,59 +306,67 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     )
 
 
-def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
-    """Return the HTML of the player, with the compressed data of the trials.
+def _player_html(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
+    """Compose the HTML of the player, with the compressed data of the trials.
 
-    `note` is HTML that is shown in the player.
+    Args:
+        trials: The trials.
+        unit: The length unit.
+        note: HTML that is shown in the player.
     """
     options: list[str] = []
-    data: list[str] = []
+    data_scripts: list[str] = []
     for index, trial in enumerate(trials):
         name = escape(trial.name)
         options.append(f'<option value="{index}">{index + 1}: {name}</option>')
         text = packed(trial.data)
-        data.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
-    # the names in the options come last, as a name may contain the text of a place
-    frame = asset("player.html").replace("@UNIT@", unit_of(unit))
-    frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
-    return frame + "".join(data)
+        data_scripts.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
+    # the names are filled in last, because a name may contain the text of a placeholder
+    player_html = asset("player.html").replace("@UNIT@", unit_of(unit))
+    player_html = player_html.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
+    return player_html + "".join(data_scripts)
 
 
-def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of the tables of statistics, and the same data as JSON.
+def _statistics_html(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
+    """Compose the HTML of the tables of statistics, and the same data as JSON.
 
-    `numbers` maps a trial's log to its number in the player, to which its row links.
+    Args:
+        compared: The batches.
+        numbers: The number of each trial in the player, by the path of its log. The trial's row
+            links to it.
     """
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
     parts: list[str] = []
     for group in compared.groups:
         name = f": {escape(group.name)}" if len(compared.groups) > 1 else ""
-        of_group = tables(BatchComparison((group,)))
-        listed = trials_listed(group)
+        tables_of_group = tables(BatchComparison((group,)))
+        trials_table = trials_listed(group)
         number = Column("trial", [numbers.get(trial.log) for trial in group.batch.trials])
-        trials = format_html([replace(listed, columns=(number, *listed.columns))], links)
+        trials = format_html(
+            [replace(trials_table, columns=(number, *trials_table.columns))], links
+        )
         parts.append(
-            f"<section><h2>Statistics{name}</h2>{_tables(of_group)}"
+            f"<section><h2>Statistics{name}</h2>{_tables_html(tables_of_group)}"
             f"<details open><summary>All trials</summary>{trials}</details></section>"
         )
     if compared.contrasts:
-        parts.append(f"<section><h2>Comparison</h2>{_tables(tables(compared))}</section>")
+        parts.append(f"<section><h2>Comparison</h2>{_tables_html(tables(compared))}</section>")
     items = convert_to_plain(comparison_items(compared))
-    data = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
+    json_text = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
     parts.append(
-        f'<script type="application/json" class="statistics">{script_json(data)}</script>\n'
+        f'<script type="application/json" class="statistics">{script_json(json_text)}</script>\n'
     )
     return "".join(parts)
 
 
-def _tables(listed: Sequence[Table]) -> str:
-    """Return tables as HTML, side by side where there is room."""
+def _tables_html(listed: Sequence[Table]) -> str:
+    """Compose the HTML of tables, which are side by side if the page is wide enough."""
     cells = [f"<div>{format_html([table])}</div>" for table in listed]
     return f'<div class="tables">{"".join(cells)}</div>'
 
 
-def _provenance(log: TrialLog) -> str:
-    """Return the HTML that shows how a trial was made: seed, spec, host and versions."""
+def _provenance_html(log: TrialLog) -> str:
+    """Compose the HTML that shows how a trial was made: seed, spec, host and versions."""
     start = log.start
     facts = [f"<dt>{escape(key)}</dt><dd>{escape(fact)}</dd>" for key, fact in log.facts.items()]
     spec_name = escape(start.spec_name)
@@ -355,10 +383,10 @@ def _provenance(log: TrialLog) -> str:
 # ---- Figures ----
 
 
-def lean(log: TrialLog) -> TrialLog:
-    """Return a trial that keeps only what `errors_over_time` draws, to save memory.
+def without_details(log: TrialLog) -> TrialLog:
+    """Return a copy of a trial with only the data that `errors_over_time` draws, to save memory.
 
-    It has the first control step, and neither the true poses nor notes.
+    The copy has the first control step, and neither true poses nor notes.
     """
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
@@ -368,7 +396,7 @@ def figures_of_trial(log: TrialLog) -> str:
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.log).name
-    figures = [_figure(kind, [log], f"{kind}, {name}") for kind in TRIAL_FIGURES]
+    figures = [_figure_html(kind, [log], f"{kind}, {name}") for kind in TRIAL_FIGURES]
     return _side_by_side(figures)
 
 
@@ -380,15 +408,20 @@ def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
     with_frames = [log for log in logs if len(log.mocap_ns)]
     if len(with_frames) < 2:
         return ""
-    where = f": {name}" if name else ""
-    text = "The error of each trial over time, the median, and the middle half of the trials"
-    return _side_by_side([_figure("errors", with_frames, text + where)])
+    batch_text = f": {name}" if name else ""
+    caption = "The error of each trial over time, the median, and the middle half of the trials"
+    return _side_by_side([_figure_html("errors", with_frames, caption + batch_text)])
 
 
 def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
-    """Draw all total errors as inline SVG. Each dot links to its trial. Empty without errors.
+    """Draw all total errors as inline SVG, in which each dot links to its trial.
 
-    `numbers` has each trial's number on the page, by path.
+    Args:
+        groups: The batches.
+        numbers: The number of each trial on the page, by the path of its log.
+
+    Returns:
+        The HTML. Empty if there are no errors.
     """
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.style import svg
@@ -400,24 +433,24 @@ def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) 
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
     drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
-    text = "Every total error, a dot per trial, and how the errors are distributed"
-    return _side_by_side([_captioned(drawing, text)])
+    caption = "Every total error, a dot per trial, and how the errors are distributed"
+    return _side_by_side([_with_caption(drawing, caption)])
 
 
-def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
+def _figure_html(kind: str, logs: Sequence[TrialLog], caption: str) -> str:
     """Draw a figure, given by its name such as `errors`, and return its HTML with a caption."""
     from tetractl.view.figures.draw import draw
     from tetractl.view.style import svg
 
     drawing = draw(kind, logs)
     picture = b64encode(svg(drawing)).decode()
-    image = f'<img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
-    return _captioned(image, text)
+    image = f'<img alt="{escape(caption)}" src="data:image/svg+xml;base64,{picture}">'
+    return _with_caption(image, caption)
 
 
-def _captioned(picture: str, text: str) -> str:
+def _with_caption(picture: str, caption: str) -> str:
     """Return the HTML of an image with its caption."""
-    return f"<figure>{picture}<figcaption>{escape(text)}</figcaption></figure>"
+    return f"<figure>{picture}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def _side_by_side(figures: Sequence[str]) -> str:

@@ -193,11 +193,11 @@ def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
 def _dish(log: TrialLog) -> dict[str, Any] | None:
     """Return a microscope's images as JPEG, with times and corners. None if the log has none."""
     pictures = DishPictures(log, PICTURES_MAX)
-    if not pictures.times:
+    if not pictures.times_ns:
         return None
-    files = map(pictures.jpeg, range(len(pictures.times)))
+    files = map(pictures.jpeg, range(len(pictures.times_ns)))
     return {
-        "t": rounded([log.elapsed_s(time_ns) for time_ns in pictures.times]),
+        "t": rounded([log.elapsed_s(time_ns) for time_ns in pictures.times_ns]),
         "corners": pictures.corners.tolist(),
         "jpeg": [base64.b64encode(data).decode() for data in files],
     }

@@ -21,12 +21,12 @@ from tetractl.tools.table.table import UNKNOWN_TEXT, create_length_format
 
 CONFIDENCE = 0.95
 
-FAR = 10
+TAIL_FACTOR = 10
 """Errors above this multiple of the median are the tail, if the spec states no bound."""
 VALUES_MIN = 3
 """Minimum number of values for an interval of a mean: two have no skewness."""
 _NAN = math.nan
-Z = float(special.ndtri((1 + CONFIDENCE) / 2))
+NORMAL_QUANTILE = float(special.ndtri((1 + CONFIDENCE) / 2))
 """Quantile z of the normal distribution for the confidence of the intervals."""
 
 
@@ -52,13 +52,13 @@ class Interval:
         """Whether the confidence interval could be computed."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
-    def text(self, show: Callable[[float], str]) -> str:
-        """Return both ends, each formatted by `show`, as "LOW to HIGH".
+    def text(self, format_end: Callable[[float], str]) -> str:
+        """Return both ends, each formatted by `format_end`, as "LOW to HIGH".
 
         If there is no interval, return the reason or, without a reason, "-".
         """
         if self.known:
-            return f"{show(self.low)} to {show(self.high)}"
+            return f"{format_end(self.low)} to {format_end(self.high)}"
         return f"none: {self.reason}" if self.reason else UNKNOWN_TEXT
 
     @property
@@ -96,7 +96,7 @@ class Tail:
     @property
     def label(self) -> str:
         """The label of the row in tables that counts values above the bound."""
-        return f"errors above {'error_bound' if self.stated else f'{FAR} times the median'}"
+        return f"errors above {'error_bound' if self.stated else f'{TAIL_FACTOR} times the median'}"
 
     def text(self, unit: str = "") -> str:
         """Return a text such as "2 of 100 above 85.0 mm (95 % interval 1 to 7 %)".
@@ -166,38 +166,38 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
 
     Tails are above `bound` or, if it is None, above 10 times the row's median.
     """
-    count, n = rows.shape
+    row_count, n = rows.shape
     if n == 0:
-        return [known_distribution(0, _NAN, _NAN, Interval.none("no values"))] * count
+        return [known_distribution(0, _NAN, _NAN, Interval.none("no values"))] * row_count
     rows = np.sort(rows, axis=1)  # so that no result depends on the order of the trials
-    least = rows[:, 0]
-    greatest = rows[:, -1]
-    means = np.clip(rows.mean(axis=1), least, greatest)
+    minima = rows[:, 0]
+    maxima = rows[:, -1]
+    means = np.clip(rows.mean(axis=1), minima, maxima)
     medians = np.median(rows, axis=1)
-    stds = _deviations(rows)
+    stds = _standard_deviations(rows)
     return [
         Distribution(
             n=n,
             mean=float(means[i]),
             std=float(stds[i]),
             median=float(medians[i]),
-            min=float(least[i]),
-            max=float(greatest[i]),
+            min=float(minima[i]),
+            max=float(maxima[i]),
             ci95=_mean_interval(rows[i], float(means[i]), float(stds[i])),
-            tail=_tail(rows[i], float(medians[i]), bound),
+            tail=_count_tail(rows[i], float(medians[i]), bound),
         )
-        for i in range(count)
+        for i in range(row_count)
     ]
 
 
-def _deviations(rows: Floats) -> Floats:
-    """Return the standard deviation (R,) of sorted rows (R, n), with n - 1.
+def _standard_deviations(rows: Floats) -> Floats:
+    """Compute the standard deviation (R,) of each of some sorted rows (R, n), with n - 1.
 
-    It is NaN for one value, and exactly 0 if all values are equal.
+    The deviation of a single value is NaN. The deviation of equal values is exactly 0.
     """
-    count, n = rows.shape
+    row_count, n = rows.shape
     if n == 1:
-        return np.full(count, _NAN)
+        return np.full(row_count, _NAN)
     return np.where(rows[:, -1] > rows[:, 0], rows.std(axis=1, ddof=1), 0.0)
 
 
@@ -214,16 +214,16 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
 
 
-def _tail(values: Floats, median: float, bound: float | None) -> Tail:
+def _count_tail(values: Floats, median: float, bound: float | None) -> Tail:
     """Count the values (n,) above `bound` or, if it is None, above FAR times the median.
 
     If that limit is not positive or is NaN, nothing is counted and the tail's bound is NaN.
     """
-    limit = FAR * median if bound is None else bound
+    limit = TAIL_FACTOR * median if bound is None else bound
     n = len(values)
     if not limit > 0:
-        what = "median" if bound is None else "bound"
-        return Tail(_NAN, 0, n, False, Interval.none(f"the {what} is not positive"))
+        bound_name = "median" if bound is None else "bound"
+        return Tail(_NAN, 0, n, False, Interval.none(f"the {bound_name} is not positive"))
     above = int((values > limit).sum())
     return Tail(limit, above, n, bound is not None, proportion_interval(above, n))
 
@@ -240,7 +240,7 @@ def published_distribution(n: int, mean: float, std: float) -> Distribution:
     """
     if mean <= 0 or std <= 0:
         return known_distribution(n, mean, std, Interval.none("nothing varies"))
-    return known_distribution(n, mean, std, Interval(*_log_t(n, mean, std), "log-t"))
+    return known_distribution(n, mean, std, Interval(*_log_t_ends(n, mean, std), "log-t"))
 
 
 def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
@@ -266,24 +266,25 @@ def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
     if n < VALUES_MIN:
         return Interval.none(f"an interval needs at least {VALUES_MIN} values")
     if values[0] < 0:
-        half = t_quantile(n - 1) * std / math.sqrt(n)
-        return Interval(float(mean - half), float(mean + half), "t")
-    low, high = _log_t(n, mean, std)
-    return Interval(low, max(high, _skewed_end(values, mean, std)), "log-t")
+        half_width = t_quantile(n - 1) * std / math.sqrt(n)
+        return Interval(float(mean - half_width), float(mean + half_width), "t")
+    low, high = _log_t_ends(n, mean, std)
+    return Interval(low, max(high, _skewed_upper_end(values, mean, std)), "log-t")
 
 
-def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
-    """Return m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)), with m = `mean` and s = `std`.
+def _log_t_ends(n: int, mean: float, std: float) -> tuple[float, float]:
+    """Compute the ends of Student's t interval of a mean on a logarithmic scale.
 
-    The standard error of log m is s / (sqrt(n) m) for n values.
+    With m = `mean` and s = `std`, the ends are m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)): for n
+    values, the standard error of log m is s / (sqrt(n) m).
     """
-    half = t_quantile(n - 1) * std / (math.sqrt(n) * mean)
-    low = mean * math.exp(-half)
-    high = mean * math.exp(half)
+    half_width = t_quantile(n - 1) * std / (math.sqrt(n) * mean)
+    low = mean * math.exp(-half_width)
+    high = mean * math.exp(half_width)
     return float(low), float(high)
 
 
-def _skewed_end(values: Floats, mean: float, std: float) -> float:
+def _skewed_upper_end(values: Floats, mean: float, std: float) -> float:
     """Compute the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
 
     The n values have mean m, standard deviation s and skewness G. With g = G / sqrt(n) the function
@@ -308,19 +309,20 @@ def _skewed_end(values: Floats, mean: float, std: float) -> float:
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Compute Wilson's interval of a proportion p = `successes` / n. Unknown if n is 0.
+    """Compute Wilson's 95 % interval of a proportion p = `successes` / n.
 
-    (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
+    The ends are (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n). With n = 0,
+    there is no interval.
     """
     if n == 0:
         return Interval.none("no trials")
     p = successes / n
-    z2 = Z**2
-    middle = p + z2 / (2 * n)
+    z2 = NORMAL_QUANTILE**2
+    centre = p + z2 / (2 * n)
     scale = 1 + z2 / n
-    half = Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n**2))
-    low = (middle - half) / scale if successes > 0 else 0.0
-    high = (middle + half) / scale if successes < n else 1.0
+    half_width = NORMAL_QUANTILE * math.sqrt(p * (1 - p) / n + z2 / (4 * n**2))
+    low = (centre - half_width) / scale if successes > 0 else 0.0
+    high = (centre + half_width) / scale if successes < n else 1.0
     return Interval(low, high, "Wilson")
 
 
@@ -371,7 +373,7 @@ class ArmErrors:
 
 
 def numeric(arms: Iterable[ArmErrors]) -> bool:
-    """Check whether all values of a swept field are numbers. True and False are not numbers."""
+    """Check whether the values of a swept field are numbers. True and False are not numbers."""
     return all(
         isinstance(arm.value, int | float) and not isinstance(arm.value, bool) for arm in arms
     )

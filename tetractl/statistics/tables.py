@@ -34,13 +34,13 @@ from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
 """Maximum number of decimals of an error."""
-SIDE_BY_SIDE = 3
-"""Maximum number of batches in one table of trials: more columns of words are too wide."""
-PUBLISHED = "difference from published"
+COLUMNS_MAX = 3
+"""Maximum number of batches in one table of trials. A table with more columns is too wide."""
+PUBLISHED_LABEL = "difference from published"
 """Label of the difference from the published result."""
-TINY = 1e-6
-"""Errors below this share of the arena are tiny, however many times the median they are."""
-PAIR = "one - other"
+TINY_FRACTION = 1e-6
+"""Errors below this fraction of the arena are not unusual, even if far above the median."""
+PAIR_COLUMN = "one - other"
 """The column that names the two batches of a comparison."""
 
 
@@ -48,30 +48,32 @@ PAIR = "one - other"
 
 
 def summary(comparison: BatchComparison) -> list[Table]:
-    """Return the main result of batches: total errors, the verdict, and unusual findings.
+    """Create the tables of the main result: total errors, the verdict, and unusual findings.
 
     If there are three batches or more, the verdicts have their own table.
     """
     groups = comparison.groups
     first = groups[0]
-    errors = _errors(groups, _totals(groups))
+    errors = _errors_table(groups, _total_errors(groups))
     notes: list[str] = []
     if len(groups) <= 2:
-        notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in comparison.contrasts]
+        notes += [
+            f"{contrast.name}: {_describe_verdict(contrast)}" for contrast in comparison.contrasts
+        ]
     published = first.from_published
     if len(groups) == 1 and published is not None and first.origin.comparable and first.counted:
-        notes.append(f"{PUBLISHED}: {published_text(published, first)}")
-    notes += _unusual(groups)
+        notes.append(f"{PUBLISHED_LABEL}: {published_text(published, first)}")
+    notes += _unusual_lines(groups)
     with_notes = replace(errors, note="\n".join(notes))
     if len(groups) <= 2:
         return [with_notes]
     return [with_notes, differences_table(comparison.contrasts)]
 
 
-def _verdict(contrast: Contrast) -> str:
+def _describe_verdict(contrast: Contrast) -> str:
     """Describe the verdict of a comparison in words, with its difference and test.
 
-    If there is no verdict, the reason is stated instead.
+    If there is no verdict, the text says why.
     """
     if contrast.verdict is None:
         verdict = f"no verdict ({contrast.reason})"
@@ -80,36 +82,43 @@ def _verdict(contrast: Contrast) -> str:
     else:
         verdict = f"{contrast.verdict} mean error"
     first = contrast.first
-    show = create_length_format(contrast.difference.value, decimals_shown(first.experiment))
-    difference = contrast.difference.text(first.unit, show, contrast.p_holm)
+    format_difference = create_length_format(
+        contrast.difference.value, decimals_shown(first.experiment)
+    )
+    difference = contrast.difference.text(first.unit, format_difference, contrast.p_holm)
     basis = contrast.test_of_means
     if contrast.pairs:  # otherwise the numbers of trials are in the table
         basis += f", {contrast.counted}"
     return f"{verdict}, {difference} ({basis})"
 
 
-def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
+def _unusual_lines(groups: Sequence[BatchStatistics]) -> Iterator[str]:
     """Yield a line for each kind of unusual finding, as `LABEL: NAMES: TEXT; NAMES: TEXT`.
 
     Each text has the names of the batches it is true for, unless there is only one batch.
     """
-    names: dict[tuple[str, str], list[str]] = {}  # by label and text
+    names_of_remark: dict[tuple[str, str], list[str]] = {}  # by label and text
     for group in groups:
-        for label, text, name in _remarks(group, len(groups) > 1):
-            names.setdefault((label, text), []).append(name)
+        for label, text, name in _unusual_remarks(group, len(groups) > 1):
+            names_of_remark.setdefault((label, text), []).append(name)
     only_batch = [groups[0].name] if len(groups) == 1 else None
-    texts: dict[str, list[str]] = {}  # by label
-    for (label, text), of_text in names.items():
-        named = text if of_text == only_batch else f"{join_listed(of_text)}: {text}"
-        texts.setdefault(label, []).append(named)
-    for label, of_label in texts.items():
-        yield f"{label}: {join_listed(of_label, '; ')}"
+    remarks: dict[str, list[str]] = {}  # by label
+    for (label, text), names in names_of_remark.items():
+        remark = text if names == only_batch else f"{join_listed(names)}: {text}"
+        remarks.setdefault(label, []).append(remark)
+    for label, texts in remarks.items():
+        yield f"{label}: {join_listed(texts, '; ')}"
 
 
-def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield the unusual findings of a batch, in short form if it is one of several.
+def _unusual_remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield the unusual findings of a batch.
 
-    Each remark has a label, a text, and the name of the batch or trial that it is about.
+    Args:
+        group: The batch.
+        several: Whether it is one of several batches, so that the short form is used.
+
+    Yields:
+        The label and the text of a finding, and the name of the batch or trial that it is about.
     """
     for figure in figures_of(group):
         brief = figure.text if figure.brief is None else figure.brief
@@ -123,8 +132,8 @@ def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, 
         for stem, note in zip(stems, notes, strict=True):
             yield "flagged", note, stem
     elif logs:  # the first one: `stats` of this batch alone names them all
-        more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
-        yield "flagged", f"{stems[0]} ({notes[0]}){more}", group.name
+        others = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+        yield "flagged", f"{stems[0]} ({notes[0]}){others}", group.name
 
 
 # ---- The figures of a batch ----
@@ -147,14 +156,14 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
         yield Figure("disturbances", "assumed in the spec, not measured", brief="")
     valid = f"{group.counted} of {len(group.batch.trials)}"
     yield Figure("valid trials", valid, unusual=False)
-    yield _tail(group)
+    yield _tail_figure(group)
     if group.counted and group.from_published is not None:
         text = published_text(group.from_published, group)
-        yield Figure(PUBLISHED, text, unusual=False)
+        yield Figure(PUBLISHED_LABEL, text, unusual=False)
     yield from (figure for figure in group.figures if figure.label)
-    lost = len(group.batch.lost)
+    unreadable = len(group.batch.lost)
     yield Figure("earlier attempts, excluded", str(group.attempts), unusual=group.attempts > 0)
-    yield Figure("logs that cannot be read", str(lost), unusual=lost > 0)
+    yield Figure("logs that cannot be read", str(unreadable), unusual=unreadable > 0)
 
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
@@ -162,14 +171,14 @@ def texts_by_label(group: BatchStatistics) -> dict[str, str]:
     return {figure.label: figure.text for figure in figures_of(group)}
 
 
-def _tail(group: BatchStatistics) -> Figure:
+def _tail_figure(group: BatchStatistics) -> Figure:
     """Describe in words how many errors are far above the others, as "2 of 100 above 85.0 mm".
 
-    It is marked as unusual if there is such an error, unless all errors are tiny.
+    The figure is marked as unusual if there is such an error, unless all errors are tiny.
     """
     arena = group.experiment.arena
     tail = group.total.tail
-    tiny = group.total.max < TINY * max(arena.width, arena.height)
+    tiny = group.total.max < TINY_FRACTION * max(arena.width, arena.height)
     text = tail.text(group.unit)
     return Figure(tail.label, text, unusual=tail.above > 0 and not tiny)
 
@@ -189,42 +198,42 @@ def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
 
 
 def tables(comparison: BatchComparison) -> list[Table]:
-    """Return every table: errors, how the trials ended, comparisons, flagged trials.
+    """Create all tables: errors, how the trials ended, comparisons, and flagged trials.
 
     Tables without a row are left out.
     """
     groups = comparison.groups
-    parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
-    trials = [_trials(part, alone=len(groups) == 1) for part in parts]
-    named = _totals(groups)
+    parts = [groups[i : i + COLUMNS_MAX] for i in range(0, len(groups), COLUMNS_MAX)]
+    trials = [_trials_table(part, is_only_batch=len(groups) == 1) for part in parts]
+    distributions = _total_errors(groups)
     if len(groups) == 1:
-        named += zip(groups[0].experiment.setup.names, groups[0].robots, strict=True)
-    errors = _errors(groups, named)
+        distributions += zip(groups[0].experiment.setup.names, groups[0].robots, strict=True)
+    errors = _errors_table(groups, distributions)
     candidates = [errors, *trials]
     if comparison.contrasts:
-        candidates += [differences_table(comparison.contrasts), _basis(comparison.contrasts)]
-    candidates.append(_flagged(groups))
+        candidates += [differences_table(comparison.contrasts), _basis_table(comparison.contrasts)]
+    candidates.append(_flagged_table(groups))
     return [table for table in candidates if len(table)]
 
 
-def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
-    """Return a table about trials: a row for each statistic, and a column for each batch.
+def _trials_table(groups: Sequence[BatchStatistics], is_only_batch: bool) -> Table:
+    """Create the table of statistics of trials: a row for each figure, a column for each batch.
 
-    An entry is None if the batch does not have the statistic.
+    An entry is None if the batch does not have the figure.
     """
     texts = [texts_by_label(group) for group in groups]
-    labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
+    labels = list(dict.fromkeys(label for text_of in texts for label in text_of))
     columns = [Column("figure", labels)]
-    for group, of_batch in zip(groups, texts, strict=True):
-        name = "value" if alone else group.name
-        columns.append(Column(name, [of_batch.get(label) for label in labels], words=True))
+    for group, text_of in zip(groups, texts, strict=True):
+        name = "value" if is_only_batch else group.name
+        columns.append(Column(name, [text_of.get(label) for label in labels], words=True))
     return Table("Trials", tuple(columns))
 
 
-def _flagged(groups: Sequence[BatchStatistics]) -> Table:
-    """Return the table of flagged logs.
+def _flagged_table(groups: Sequence[BatchStatistics]) -> Table:
+    """Create the table of flagged logs.
 
-    It lists at most LISTED_MAX of them. A last row has the number of the others.
+    It lists at most LISTED_MAX logs. If there are more, a last row has their number.
     """
     logs = [log for group in groups for log in flagged(group.batch)]
     rows = [(log.log, log.outcome, ", ".join(log.notes)) for log in logs[:LISTED_MAX]]
@@ -237,24 +246,26 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
 
 
 def error_format(smallest: float, decimals_most: int) -> Callable[[float], str]:
-    """Create a format that shows three digits of errors of about `smallest`.
+    """Create a function that formats errors with about three digits.
 
-    `smallest` is usually the minimum mean. A value of more than ten times that is shown with three
-    digits of its own. No value has more than `decimals_most` decimals.
+    Args:
+        smallest: Size of the smallest errors, usually the minimum mean. Errors of up to ten times
+            this size have the same number of decimals. Larger ones have three digits of their own.
+        decimals_most: Maximum number of decimals.
     """
-    format_of_least = create_length_format(smallest, decimals_most)
+    format_smallest = create_length_format(smallest, decimals_most)
 
     def show(value: float) -> str:
         if value > 10 * smallest > 0:
             format_of_value = create_length_format(value, decimals_most)
             return format_of_value(value)
-        return format_of_least(value)
+        return format_smallest(value)
 
     return show
 
 
 def decimals_shown(experiment: Experiment) -> int:
-    """Return the number of decimals that resolves about a millionth of the arena.
+    """Compute the number of decimals that resolves about a millionth of the arena's extent.
 
     Smaller differences have no meaning.
     """
@@ -265,70 +276,72 @@ def decimals_shown(experiment: Experiment) -> int:
 
 def error_table(
     title: str,
-    named: Sequence[tuple[str, Distribution]],
+    named_errors: Sequence[tuple[str, Distribution]],
     unit: str,
     smallest: float | None = None,
     decimals_most: int = DECIMALS_MAX,
 ) -> Table:
-    """Return a table with one row for each distribution of errors.
+    """Create a table with one row for each distribution of errors.
 
     Args:
         title: Title of the table.
-        named: The distributions with their names.
+        named_errors: The distributions with their names.
         unit: Unit of the errors.
         smallest: Mean that determines the format. None for the minimum mean.
         decimals_most: Maximum number of decimals.
     """
-    values = [distribution for _, distribution in named]
+    errors = [distribution for _, distribution in named_errors]
     if smallest is None:
-        smallest = min((value.mean for value in values if value.mean > 0), default=0.0)
-    show = error_format(smallest, decimals_most)
+        smallest = min((value.mean for value in errors if value.mean > 0), default=0.0)
+    format_error = error_format(smallest, decimals_most)
 
     return Table(
         title,
         (
-            Column("error", [name for name, _ in named], unit),
-            Column("n", [value.n for value in values]),
-            Column("mean", [value.mean for value in values], format=show),
-            Column("std", [value.std for value in values], format=show),
-            Column("median", [value.median for value in values], format=show),
-            Column("min", [value.min for value in values], format=show),
-            Column("max", [value.max for value in values], format=show),
+            Column("error", [name for name, _ in named_errors], unit),
+            Column("n", [value.n for value in errors]),
+            Column("mean", [value.mean for value in errors], format=format_error),
+            Column("std", [value.std for value in errors], format=format_error),
+            Column("median", [value.median for value in errors], format=format_error),
+            Column("min", [value.min for value in errors], format=format_error),
+            Column("max", [value.max for value in errors], format=format_error),
             Column(
                 "95 % interval",
-                [value.ci95 for value in values],
-                format=lambda interval: interval.text(show),
+                [value.ci95 for value in errors],
+                format=lambda interval: interval.text(format_error),
             ),
         ),
     )
 
 
-def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distribution]]) -> Table:
-    """Return the table of the `named` errors of batches, formatted for the smallest total.
+def _errors_table(
+    groups: Sequence[BatchStatistics], named_errors: Sequence[tuple[str, Distribution]]
+) -> Table:
+    """Return the table of the `named_errors` errors of batches, formatted for the smallest total.
 
     All batches use the length unit of the first one.
     """
     first = groups[0]
     return error_table(
         _errors_title(groups),
-        named,
+        named_errors,
         first.unit,
         smallest=min((group.total.mean for group in groups if group.counted), default=math.nan),
         decimals_most=decimals_shown(first.experiment),
     )
 
 
-def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
-    """Return the named total error of each batch, followed by the published errors."""
+def _total_errors(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
+    """List the total errors of each batch, followed by the published errors, each with a name."""
     if len(groups) == 1:
-        return [("total", groups[0].total), *_published(groups)]
-    return [*((group.name, group.total) for group in groups), *_published(groups)]
+        return [("total", groups[0].total), *_published_errors(groups)]
+    return [*((group.name, group.total) for group in groups), *_published_errors(groups)]
 
 
-def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distribution]]:
-    """Yield each published result once. If results differ, their batches are named.
+def _published_errors(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distribution]]:
+    """Yield each published result that a spec states once, with a name for its row.
 
-    Nothing is yielded if no spec states one.
+    If results differ, the names list the batches that each result belongs to.
     """
     names: dict[tuple[int, float, float], list[str]] = {}  # of batches, by n, mean and std
     for group in groups:
@@ -336,8 +349,8 @@ def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distrib
         if published is not None:
             key = (published.n, published.mean, published.std)
             names.setdefault(key, []).append(group.name)
-    for (n, mean, std), of_result in names.items():
-        name = "published" if len(names) == 1 else f"published for {join_listed(of_result)}"
+    for (n, mean, std), batches in names.items():
+        name = "published" if len(names) == 1 else f"published for {join_listed(batches)}"
         yield name, known_distribution(n, mean, std, Interval.none(""))
 
 
@@ -357,26 +370,26 @@ def _errors_title(groups: Sequence[BatchStatistics]) -> str:
 
 
 def differences_table(contrasts: Sequence[Contrast]) -> Table:
-    """Return a table of the differences between the means of batches, with one row per contrast.
+    """Create the table of the differences between the means of batches, with a row per contrast.
 
     There must be at least one contrast.
     """
     first = contrasts[0].first
-    sizes = [abs(contrast.difference.value) for contrast in contrasts]
-    largest = max(filter(math.isfinite, sizes), default=0.0)
-    show = create_length_format(largest, decimals_shown(first.experiment))
+    magnitudes = [abs(contrast.difference.value) for contrast in contrasts]
+    largest = max(filter(math.isfinite, magnitudes), default=0.0)
+    format_difference = create_length_format(largest, decimals_shown(first.experiment))
     title = "Comparison of the mean total errors"
     if any(contrast.same_origin for contrast in contrasts) and len(contrasts) > 1:
         title += f", p corrected for {len(contrasts)} tests"
     values = [contrast.difference.value for contrast in contrasts]
-    intervals = [contrast.difference.ci95.text(show) for contrast in contrasts]
+    intervals = [contrast.difference.ci95.text(format_difference) for contrast in contrasts]
     verdicts = [contrast.verdict or f"none: {contrast.reason}" for contrast in contrasts]
     return Table(
         title,
         (
-            Column(PAIR, [contrast.name for contrast in contrasts]),
+            Column(PAIR_COLUMN, [contrast.name for contrast in contrasts]),
             Column("trials", [contrast.counted for contrast in contrasts], words=True),
-            Column("difference", values, first.unit, show),
+            Column("difference", values, first.unit, format_difference),
             Column("95 % interval", intervals),
             Column("p (Holm)", [contrast.p_holm for contrast in contrasts], format=format_p_value),
             Column("verdict on the mean error", verdicts, words=True),
@@ -384,13 +397,13 @@ def differences_table(contrasts: Sequence[Contrast]) -> Table:
     )
 
 
-def _basis(contrasts: Sequence[Contrast]) -> Table:
-    """Return the table that shows how batches were compared: tests, power, pairs, other fields.
+def _basis_table(contrasts: Sequence[Contrast]) -> Table:
+    """Create the table that shows how batches were compared: tests, power, pairs, other fields.
 
-    It has one row per contrast. "-" stands for what is unknown.
+    It has one row per contrast. "-" stands for an unknown value.
     """
     header = (
-        PAIR,
+        PAIR_COLUMN,
         "tests",
         "p (rank test)",
         "detectable at 80 % power",
@@ -417,18 +430,18 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
 
 
 def trials_listed(group: BatchStatistics) -> Table:
-    """Return the table of a batch's trials with log, error, duration, steps, safety and outcome.
+    """Create the table of a batch's trials: log, error, duration, steps, safety and outcome.
 
     Earlier attempts and unreadable logs are left out.
     """
     trials = group.batch.trials
-    show = create_length_format(group.total.mean)
+    format_error = create_length_format(group.total.mean)
     outcomes = dict.fromkeys(trial.outcome for trial in trials)
     return Table(
         "",
         (
             Column("log", [Path(trial.log).name for trial in trials]),
-            Column("total error", [t.result.total_error for t in trials], group.unit, show),
+            Column("total error", [t.result.total_error for t in trials], group.unit, format_error),
             Column(
                 "duration", [t.result.duration_s for t in trials], "s", create_decimal_format(2)
             ),

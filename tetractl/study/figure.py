@@ -14,7 +14,7 @@ from tetractl.statistics.estimate import ArmErrors
 from tetractl.study.arm_table import LISTED, field_values, given_note, group_of, origins
 from tetractl.study.load_study import Arm, LoadedStudy
 from tetractl.view import style
-from tetractl.view.figures.sweep import errors_by
+from tetractl.view.figures.sweep import study_errors_figure
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
@@ -49,17 +49,17 @@ def study_figure(loaded: LoadedStudy, store: Store, field: str = "") -> Figure |
         The figure. None if no trial has an error.
     """
     arms = loaded.arms if field else loaded.arms[:LISTED]
-    drawn: dict[str, list[ArmErrors]] = {}
+    curves: dict[str, list[ArmErrors]] = {}
     for controller, of_controller in _by_controller(arms).items():
         if field:
             groups = field_values(store, field, of_controller)
         else:
             groups = [group_of(store, arm.name, [arm]) for arm in of_controller]
-        drawn[controller] = [group for group in groups if group.error.n > 0]
-    all_groups = [group for groups in drawn.values() for group in groups]
+        curves[controller] = [group for group in groups if group.error.n > 0]
+    all_groups = [group for groups in curves.values() for group in groups]
     if not all_groups:
         return None
-    figure = errors_by(drawn, field, loaded.unit, len(loaded.paths) == 1)
+    figure = study_errors_figure(curves, field, loaded.unit, len(loaded.paths) == 1)
     title = [_headline(loaded, all_groups), given_note(arms)]
     style.headline(figure, "; ".join(text for text in title if text))
     return figure
@@ -74,7 +74,7 @@ def _by_controller(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
 
 
 def _headline(loaded: LoadedStudy, groups: Sequence[ArmErrors]) -> str:
-    """Return the title: study, plants, the statistic drawn, and the number of trials."""
+    """Format the title: study, plants, the statistic drawn, and the number of trials."""
     plants = sorted(set(origins(loaded)))
     counts = sorted({group.error.n for group in groups})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

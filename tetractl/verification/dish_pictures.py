@@ -21,22 +21,28 @@ JPEG_QUALITY = 60
 
 
 class DishPictures:
-    """The microscope images of one trial that can be read, at most `count_max`.
+    """The readable microscope images of one trial. Only logs of a microscope contain images.
 
-    Only logs of a microscope contain images. `times` are the times when they were taken, on the
-    trial's clock [ns]. `corners` (3, 2) are the positions of an image's lower left, lower right and
-    upper left corner in the spec's coordinates.
+    Args:
+        log: The trial's log.
+        count_max: Maximum number of images, which are then spread over the trial. By default, all
+            images are read.
+
+    Attributes:
+        times_ns: When the images were taken, on the trial's clock [ns].
+        corners: Positions of an image's lower left, lower right and upper left corner in the spec's
+            coordinates [length unit], shape (3, 2).
     """
 
     def __init__(self, log: TrialLog, count_max: int | None = None) -> None:
         camera = log.experiment.plant.microscope
         logged = log.pictures if camera is not None else ()
         stride = 1 if count_max is None else max(1, math.ceil(len(logged) / count_max))
-        self.times: list[int] = []
+        self.times_ns: list[int] = []
         self._greys: list[Image.Image] = []
         self.corners: Floats = np.zeros((3, 2))
         for time_ns, data in logged[::stride]:
-            reduced = _reduced(data)
+            reduced = _decode_reduced(data)
             if reduced is None:
                 continue
             grey, size_px = reduced
@@ -45,28 +51,29 @@ class DishPictures:
                 ends = ((0.0, 0.0), (width_um, 0.0), (0.0, height_um))
                 metres = log.start.setup.metres
                 self.corners = np.array([camera.placed(x, y, metres) for x, y in ends])
-            self.times.append(time_ns)
+            self.times_ns.append(time_ns)
             self._greys.append(grey)
 
-    def at(self, when_ns: int) -> int | None:
-        """Return the index of the last image taken up to a time [ns], or 0 for an earlier time.
+    def index_at(self, when_ns: int) -> int | None:
+        """Find the last image that was taken up to a time [ns].
 
-        None if there are no images.
+        Returns:
+            The index of the image, or 0 for a time before the first image. None without images.
         """
-        return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
+        return max(bisect_right(self.times_ns, when_ns) - 1, 0) if self.times_ns else None
 
-    def grey(self, which: int) -> Grey:
-        """Return the grey levels (height, width) of an image, with the upper row first."""
-        return np.asarray(self._greys[which])
+    def grey(self, index: int) -> Grey:
+        """Return the grey levels of an image, shape (height, width), with the upper row first."""
+        return np.asarray(self._greys[index])
 
-    def jpeg(self, which: int) -> bytes:
-        """Return a microscope's image as the contents of a JPEG file."""
+    def jpeg(self, index: int) -> bytes:
+        """Encode an image, and return the contents of a JPEG file."""
         file = io.BytesIO()
-        self._greys[which].save(file, "JPEG", quality=JPEG_QUALITY)
+        self._greys[index].save(file, "JPEG", quality=JPEG_QUALITY)
         return file.getvalue()
 
 
-def _reduced(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
+def _decode_reduced(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
     """Decode a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side.
 
     Returns:

@@ -1,7 +1,7 @@
 """The HTML that a notebook shows for results of tetractl: tables of statistics, and images.
 
-`shown` has a function for each kind of result. The HTML contains no script and nothing from a
-network, and every text is escaped.
+`result_html` has one implementation for each kind of result. The HTML contains no script and
+nothing from a network, and all text is escaped.
 """
 
 import io
@@ -40,49 +40,47 @@ PICTURE_PX = 440
 
 
 def html(value: object) -> str:
-    """Return the HTML that a notebook shows for a result.
-
-    If it cannot be shown, return the reason.
-    """
+    """Create the HTML that a notebook shows for a result, or that says why it cannot be shown."""
     try:
-        return shown(value)
+        return result_html(value)
     except TetractlError as error:
-        return _output([f"{type(value).__name__}: {error.message}"])
+        return _compose_html([f"{type(value).__name__}: {error.message}"])
 
 
 @singledispatch
-def shown(value: object) -> str:
-    """Return the HTML for a result, according to its type.
+def result_html(value: object) -> str:
+    """Create the HTML for a result, according to the result's type.
 
-    NotImplementedError for an unknown type.
+    Raises:
+        NotImplementedError: If there is no implementation for the type.
     """
     raise NotImplementedError(type(value))
 
 
-@shown.register
+@result_html.register
 def _(spec: LoadedSpec) -> str:
     experiment = spec.experiment
     setup = experiment.setup
     unit = unit_of(setup.unit)
-    as_fastest = create_length_format(float(np.max(setup.speed)))
+    format_speed = create_length_format(float(np.max(setup.speed)))
     robots = Table(
         "",
         (
             Column("robot", setup.names),
-            Column("start", [_place(xy) for xy in setup.starts.xy], unit),
-            Column("target", [_place(xy) for xy in setup.targets], unit),
+            Column("start", [_format_position(xy) for xy in setup.starts.xy], unit),
+            Column("target", [_format_position(xy) for xy in setup.targets], unit),
             Column("a", setup.a, "rad/s", create_decimal_format(2)),
-            Column("speed", setup.speed, f"{unit}/s", as_fastest),
+            Column("speed", setup.speed, f"{unit}/s", format_speed),
         ),
     )
     trials = f"{experiment.trials.count} trials, seed {experiment.trials.seed}"
     lines = [f"{spec.name}: {experiment.name}, {trials}"]
     if experiment.description:
         lines.append(experiment.description)
-    return _output(lines, [robots], _arena(setup))
+    return _compose_html(lines, [robots], _draw_arena(setup))
 
 
-@shown.register
+@result_html.register
 def _(trial: TrialLog) -> str:
     start = trial.start
     setup = start.setup
@@ -93,80 +91,86 @@ def _(trial: TrialLog) -> str:
         lines.append("the log ends before the end of the trial")
     else:
         unit = unit_of(setup.unit)
-        show = create_length_format(result.total_error)
-        error = f"total error {show(result.total_error)} {unit}"
+        format_error = create_length_format(result.total_error)
+        error = f"total error {format_error(result.total_error)} {unit}"
         lines.append(f"{result.summary}, {result.duration_s:.1f} s: {error}")
         if result.entered_obstacle:
             lines.append("entered an obstacle")
         if result.left_arena:
             lines.append("left the arena")
         robots = Column("robot", setup.names)
-        tables.append(Table("", (robots, Column("error", result.robot_errors, unit, show))))
+        tables.append(Table("", (robots, Column("error", result.robot_errors, unit, format_error))))
     if trial.damage:
         lines += [f"damaged: {problem}" for problem in trial.damage.problems]
-    return _output(lines, tables, _paths(trial))
+    return _compose_html(lines, tables, _draw_paths(trial))
 
 
-@shown.register
+@result_html.register
 def _(trial: ResultSummary) -> str:
     group = describe(Batch((trial,)))
-    return _output([trial.log], [trials_listed(group)])
+    return _compose_html([trial.log], [trials_listed(group)])
 
 
-@shown.register
+@result_html.register
 def _(batch: Batch) -> str:
     group = describe(batch)
     trials = trials_listed(group)
-    more = len(trials) - LISTED_MAX
-    if more > 0:
+    unlisted = len(trials) - LISTED_MAX
+    if unlisted > 0:
         first = [replace(column, values=column.listed[:LISTED_MAX]) for column in trials.columns]
-        note = f"and {more} more: to_dataframe has all; {trials.note}"
+        note = f"and {unlisted} more: to_dataframe has all; {trials.note}"
         trials = Table(trials.title, tuple(first), note)
-    return _output([], [*summary(contrast([group])), trials])
+    return _compose_html([], [*summary(contrast([group])), trials])
 
 
-@shown.register
+@result_html.register
 def _(batches: Batches) -> str:
     groups = tuple(describe(batch, name) for name, batch in batches.items())
     errors, *_ = summary(BatchComparison(groups))
-    return _output([], [errors])
+    return _compose_html([], [errors])
 
 
-@shown.register
+@result_html.register
 def _(group: BatchStatistics) -> str:
-    return _output([], summary(contrast([group])))
+    return _compose_html([], summary(contrast([group])))
 
 
-@shown.register
+@result_html.register
 def _(comparison: BatchComparison) -> str:
-    return _output([], summary(comparison))
+    return _compose_html([], summary(comparison))
 
 
-@shown.register
+@result_html.register
 def _(pair: Contrast) -> str:
-    return _output([], [differences_table([pair])])
+    return _compose_html([], [differences_table([pair])])
 
 
-@shown.register
+@result_html.register
 def _(verification: Verification) -> str:
-    return _output([*verification.lines])
+    return _compose_html([*verification.lines])
 
 
-def _output(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b"") -> str:
-    """Return HTML that consists of lines, an image and tables.
+def _compose_html(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b"") -> str:
+    """Compose HTML from lines of text, an image and tables.
 
-    With an image, there must be a line.
+    Args:
+        lines: The lines. At least one is needed with an image, which it describes.
+        tables: The tables.
+        png: The image, as the bytes of a PNG file. Empty for no image.
     """
     picture = ""
     if png:
         source = f"data:image/png;base64,{b64encode(png).decode()}"
         picture = f'<br><img alt="{escape(lines[0])}" width="{PICTURE_PX}" src="{source}">'
-    words = "<br>".join(map(escape, lines))
-    return f"<div>{words}{picture}{html_of_tables(tables)}</div>"
+    text = "<br>".join(map(escape, lines))
+    return f"<div>{text}{picture}{html_of_tables(tables)}</div>"
 
 
-def _paths(trial: TrialLog) -> bytes:
-    """Draw the robots' paths, and return the bytes of a PNG file. b"" for a log that has none."""
+def _draw_paths(trial: TrialLog) -> bytes:
+    """Draw the robots' paths, and return the bytes of a PNG file.
+
+    The result is empty if the log contains no paths.
+    """
     try:
         figure = draw("trajectory", [trial])
     except TetractlError:
@@ -174,12 +178,12 @@ def _paths(trial: TrialLog) -> bytes:
     return style.picture(figure, "png", style.SCREEN_DPI)
 
 
-def _place(xy: Sequence[float]) -> str:
-    """Return a position as text with four digits, without a unit."""
+def _format_position(xy: Sequence[float]) -> str:
+    """Format a position with four digits and without a unit, for example "12.5, 300"."""
     return ", ".join(f"{length:.4g}" for length in xy)
 
 
-def _arena(setup: Setup) -> bytes:
+def _draw_arena(setup: Setup) -> bytes:
     """Draw the arena with the robots at their starts, and return the bytes of a PNG file."""
     file = io.BytesIO()
     Image.fromarray(arena_picture(setup, setup.starts.xy[None])).save(file, "PNG")

@@ -39,13 +39,14 @@ from tetractl.view.player import Moment, Recording
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 """Images per second by format; a GIF can only state intervals in hundredths of a second."""
-HOLD_S = 1.5
+LAST_IMAGE_S = 1.5
 """Time for which the last image is shown [s]."""
-LONGEST_S = 60.0
+DURATION_MAX_S = 60.0
 """Maximum duration of a video [s]. A longer trial plays faster."""
 SCENE_WIDTH_IN = 5.0
+"""Maximum width of the arena in the video [in]."""
 SCENE_HEIGHT_IN = 4.4
-"""Maximum height of the arena in the video [in]. SCENE_WIDTH_IN is its maximum width."""
+"""Maximum height of the arena in the video [in]."""
 SIDE_IN = 2.2
 """Width of the curve and the words, to the right of the arena [in]."""
 SIDE_HEIGHT_IN = 3.0
@@ -54,14 +55,13 @@ LABELS_IN = 0.62
 """Space for the labels of an axis, on its left [in]."""
 TOP_IN = 0.3
 """Space for the heading [in]."""
-HEADING_LETTERS = 120
-SHOWN_PX = 640
-SHOWN_RATE = 12
-"""Images per second of a video inside a notebook, which can be made in some seconds.
-
-SHOWN_PX is the width of the video [px].
-"""
-BODY_LEAST = 0.014
+HEADING_LENGTH_MAX = 120
+"""Maximum length of the heading [characters]."""
+NOTEBOOK_WIDTH_PX = 640
+"""Width of a video inside a notebook [px]."""
+NOTEBOOK_RATE_HZ = 12
+"""Images per second of a video inside a notebook. They are few, so that it is ready in seconds."""
+BODY_FRACTION_MIN = 0.014
 """Minimum half length of a drawn robot as a fraction of the arena, so that it is visible."""
 TRAIL_POINTS = 600
 """Approximate number of points of a trail that are drawn."""
@@ -74,9 +74,11 @@ Picture = NDArray[np.uint8]
 
 
 def check_file(path: Path) -> str:
-    """Return the format of a video to write, from the ending of the file's name.
+    """Determine the format of a video to write from the ending of the file's name.
 
-    Raises UsageError for another ending, for a missing folder, and for MP4 without ffmpeg.
+    Raises:
+        UsageError: If there is no format with this ending, if the folder does not exist, or if
+            ffmpeg is not installed and the format is MP4.
     """
     ending = style.file_format(path, FORMATS, "video")
     if ending == "mp4" and shutil.which("ffmpeg") is None:
@@ -90,7 +92,7 @@ def check_file(path: Path) -> str:
 def write_video(
     log: TrialLog,
     path: Path,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda drawn, total: None,
     width: int = 960,
     rate: int | None = None,
 ) -> int:
@@ -116,20 +118,20 @@ def write_video(
     frames = VideoFrames(log, width)
     recording = frames.recording
     end_s = max(recording.log.elapsed_s(recording.end_ns), 0.0)
-    speed = _speed(end_s)
+    speed = _choose_speed(end_s)
     times = np.append(np.arange(0, end_s, speed / rate), end_s).tolist()
-    hold = round(HOLD_S * rate)
+    hold_images = round(LAST_IMAGE_S * rate)
 
     def pictures() -> Iterator[Picture]:
-        for done, time_s in enumerate(times, 1):
+        for drawn, time_s in enumerate(times, 1):
             yield frames.at(time_s)
-            progress(done, len(times))
+            progress(drawn, len(times))
 
     try:
         if ending == "mp4":
-            _mp4(path, pictures(), rate, hold)
+            _write_mp4(path, pictures(), rate, hold_images)
         else:
-            _animation(path, pictures(), len(times), rate, hold)
+            _write_animation(path, pictures(), len(times), rate, hold_images)
     except OSError as error:
         path.unlink(missing_ok=True)
         raise LogError(f"{path}: the video cannot be written: {error}") from error
@@ -146,41 +148,57 @@ class Video:
     def _repr_html_(self) -> str:
         encoded = b64encode(self.data).decode()
         if self.format == "mp4":
-            return f'<video controls loop width="{SHOWN_PX}" src="data:video/mp4;base64,{encoded}">'
+            source = f"data:video/mp4;base64,{encoded}"
+            return f'<video controls loop width="{NOTEBOOK_WIDTH_PX}" src="{source}">'
         source = f"data:image/{self.format};base64,{encoded}"
-        return f'<img alt="a video of the trial" width="{SHOWN_PX}" src="{source}">'
+        return f'<img alt="a video of the trial" width="{NOTEBOOK_WIDTH_PX}" src="{source}">'
 
 
 def video(log: TrialLog, path: Path | None) -> Video:
-    """Return a video of a trial, and write it to a file if `path` is not None.
+    """Create a video of a trial.
 
-    Without a path, it is a WebP of SHOWN_PX for a notebook. The errors are those of `write_video`.
+    Args:
+        log: The trial.
+        path: The file to write. None for a video that is only shown in a notebook: a WebP that is
+            NOTEBOOK_WIDTH_PX wide.
+
+    Raises:
+        UsageError: If `check_file` refuses the path.
+        LogError: If the file cannot be written.
     """
     if path is not None:
         write_video(log, path)
         return Video(check_file(path), path.read_bytes())
     with TemporaryDirectory() as folder:
         file = Path(folder, "trial.webp")
-        write_video(log, file, width=SHOWN_PX, rate=SHOWN_RATE)
+        write_video(log, file, width=NOTEBOOK_WIDTH_PX, rate=NOTEBOOK_RATE_HZ)
         return Video("webp", file.read_bytes())
 
 
-def _speed(duration_s: float) -> int:
-    """Return how many times faster a video plays, so that it lasts at most LONGEST_S.
+def _choose_speed(duration_s: float) -> int:
+    """Choose how many times faster than the trial a video plays.
 
-    The result is the first of 1, 2, 5, 10, 20 and so on that is large enough.
+    The result is the first of 1, 2, 5, 10, 20 and so on with which the video lasts at most
+    DURATION_MAX_S.
     """
     speeds = (digit * 10**power for power in count() for digit in (1, 2, 5))
-    return next(speed for speed in speeds if duration_s / speed <= LONGEST_S)
+    return next(speed for speed in speeds if duration_s / speed <= DURATION_MAX_S)
 
 
-def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, hold: int) -> None:
-    """Write `count` images of a video as GIF or WebP, `rate` each second, repeated forever.
+def _write_animation(
+    path: Path, pictures: Iterator[Picture], image_count: int, rate: int, hold_images: int
+) -> None:
+    """Write a video that repeats for ever as GIF or WebP.
 
-    The last one is shown `hold` times longer than the others.
+    Args:
+        path: The file.
+        pictures: The images.
+        image_count: Number of images.
+        rate: Images per second.
+        hold_images: For how many more intervals the last image is shown.
     """
     milliseconds = round(1000 / rate)
-    durations = [milliseconds] * (count - 1) + [milliseconds * (1 + hold)]
+    durations = [milliseconds] * (image_count - 1) + [milliseconds * (1 + hold_images)]
     images = map(Image.fromarray, pictures)
     first = next(images)
     options: dict[str, Any] = {"quality": 80, "method": 1, "kmin": 25, "kmax": 50}
@@ -193,32 +211,38 @@ def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, h
     first.save(path, save_all=True, append_images=images, duration=durations, loop=0, **options)
 
 
-def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
-    """Write the images of a video as MP4, `rate` each second. The last is repeated `hold` times.
+def _write_mp4(path: Path, pictures: Iterator[Picture], rate: int, hold_images: int) -> None:
+    """Write a video as MP4.
+
+    Args:
+        path: The file.
+        pictures: The images.
+        rate: Images per second.
+        hold_images: Number of times that the last image is repeated.
 
     Raises:
         OSError: If ffmpeg fails, with the last line that it printed.
     """
-    last = next(pictures)
+    image = next(pictures)
     command = [
         "ffmpeg", "-y", "-loglevel", "error",
-        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{last.shape[1]}x{last.shape[0]}",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{image.shape[1]}x{image.shape[0]}",
         "-r", str(rate), "-i", "-",
         "-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", "-fflags", "+bitexact", "-f", "mp4", str(path),
     ]  # fmt: skip
     with Child(command, fed=True) as encoder:
-        with suppress(BrokenPipeError):  # ffmpeg ended; what it said has the reason
-            encoder.stdin.write(last.tobytes())
-            for last in pictures:
-                encoder.stdin.write(last.tobytes())
-            encoder.stdin.write(last.tobytes() * hold)
+        with suppress(BrokenPipeError):  # ffmpeg has ended, and its error message says why
+            encoder.stdin.write(image.tobytes())
+            for image in pictures:
+                encoder.stdin.write(image.tobytes())
+            encoder.stdin.write(image.tobytes() * hold_images)
             encoder.stdin.close()
         if encoder.wait() != 0:
             raise OSError((encoder.error_lines() or ["ffmpeg failed"])[-1])
 
 
-def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Axes]:
+def _create_figure(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Axes]:
     """Create an empty image of the video for an arena, with its axes.
 
     The three axes are for the scene on the left, for the curve of the error at the upper right, and
@@ -229,29 +253,29 @@ def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Ax
     scene_height = scale * arena.height
     width = scene_width + SIDE_IN + 1.36
     dpi = 2 * round(width_px / 2) / width
-    least_height = max(scene_height, SIDE_HEIGHT_IN) + 0.75
-    height = 2 * round(least_height * dpi / 2) / dpi
+    height_min = max(scene_height, SIDE_HEIGHT_IN) + 0.75
+    height = 2 * round(height_min * dpi / 2) / dpi
     figure = Figure((width, height), dpi)
 
-    def axes_at(left: float, low: float, axes_width: float, axes_height: float) -> Axes:
+    def axes_at(left: float, bottom: float, axes_width: float, axes_height: float) -> Axes:
         """Add axes in a rectangle of the image.
 
         Args:
             left: Its left edge [in].
-            low: Its lower edge [in].
+            bottom: Its lower edge [in].
             axes_width: Its width [in].
             axes_height: Its height [in].
         """
-        place = (left / width, low / height, axes_width / width, axes_height / height)
-        return figure.add_axes(place)
+        rectangle = (left / width, bottom / height, axes_width / width, axes_height / height)
+        return figure.add_axes(rectangle)
 
     top = height - TOP_IN
-    middle = 0.56 * height
-    side = scene_width + 2 * LABELS_IN
+    curve_bottom = 0.56 * height
+    side_left = scene_width + 2 * LABELS_IN
     scene = axes_at(LABELS_IN, top - scene_height, scene_width, scene_height)
-    curve = axes_at(side, middle, SIDE_IN, top - middle)
-    words = axes_at(side, 0.1, SIDE_IN, middle - 0.7)
-    return figure, scene, curve, words
+    curve = axes_at(side_left, curve_bottom, SIDE_IN, top - curve_bottom)
+    numbers = axes_at(side_left, 0.1, SIDE_IN, curve_bottom - 0.7)
+    return figure, scene, curve, numbers
 
 
 class _Scene:
@@ -260,7 +284,7 @@ class _Scene:
     def __init__(self, axes: Axes, log: TrialLog, colors: list[str]) -> None:
         setup = log.start.setup
         draw_scene(axes, [setup], colors, [log.positions])
-        visible = BODY_LEAST * setup.arena.longer_side
+        visible = BODY_FRACTION_MIN * setup.arena.longer_side
         self._half_length = max(setup.wheel_radius or 0.0, visible)
         self._plans: list[Line2D] = []
         self._trails: list[Line2D] = []
@@ -278,7 +302,7 @@ class _Scene:
 
     def show(self, moment: Moment) -> None:
         """Move the robots to their poses at an instant of the trial."""
-        step = _followed(moment)
+        step = _followed_step(moment)
         trail = moment.trail[:: max(1, len(moment.trail) // TRAIL_POINTS)]
         for robot, (x, y, heading) in enumerate(moment.poses):
             self._plans[robot].set_data(*(step.plan.path[:, robot, :2].T if step else ([], [])))
@@ -307,7 +331,7 @@ class _ErrorCurve:
         )
 
 
-class _Words:
+class _Numbers:
     """The text of the video: time, plan and error at an instant, then the error of each robot.
 
     The direction u is shown as an arrow.
@@ -316,15 +340,15 @@ class _Words:
     def __init__(self, axes: Axes, names: tuple[str, ...], colors: list[str]) -> None:
         self._names = robot_labels(names) if len(names) < NUMBERED else []
         axes.set_axis_off()
-        inks = [style.INK, style.INK, style.INK, *colors[: len(self._names)]]
-        rows = max(len(inks), 7)
-        heights = 0.92 - np.arange(len(inks)) / rows
-        look: dict[str, Any] = {
+        line_colors = [style.INK, style.INK, style.INK, *colors[: len(self._names)]]
+        rows = max(len(line_colors), 7)
+        heights = 0.92 - np.arange(len(line_colors)) / rows
+        text_style: dict[str, Any] = {
             "fontsize": 8.5, "transform": axes.transAxes, "in_layout": False,
         }  # fmt: skip
         self.lines = [
-            axes.text(-0.2, float(height), "", color=ink, **look)
-            for height, ink in zip(heights, inks, strict=True)
+            axes.text(-0.2, float(height), "", color=line_color, **text_style)
+            for height, line_color in zip(heights, line_colors, strict=True)
         ]
         dial = axes.inset_axes((0.8, 0.85, 0.2, 0.22))
         dial.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
@@ -337,25 +361,25 @@ class _Words:
 
         There is no arrow before the first step, at the end, or if the plan has no direction.
         """
-        step = _followed(moment)
+        step = _followed_step(moment)
         direction = None if step is None else step.plan.direction
         arrow = np.zeros(0) if direction is None else ARROW * np.exp(1j * direction)
         self.arrow.set_data(arrow.real, arrow.imag)
-        for line, words in zip(self.lines, self._written(moment), strict=True):
+        for line, words in zip(self.lines, self._lines_at(moment), strict=True):
             line.set_text(words)
 
-    def _written(self, moment: Moment) -> list[str]:
+    def _lines_at(self, moment: Moment) -> list[str]:
         """Return the text of each line at an instant of the trial.
 
-        The lines are time, plan, total error, and the error of each robot. A plan that is unknown
-        is "".
+        The lines are the time, the plan, the total error, and the error of each robot. The line of
+        the plan is empty without a plan.
         """
         unit = unit_of(moment.setup.unit)
         step = moment.step
-        time = f"{moment.time_s:.1f} s"
+        time_text = f"{moment.time_s:.1f} s"
         plan = ""
         if step is not None:
-            time += f", step {step.k}"
+            time_text += f", step {step.k}"
         if step is not None and not step.plan.pauses:
             plan = f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
         total = f"total error {_total_error(moment):.1f} {unit}, {moment.known}"
@@ -363,19 +387,19 @@ class _Words:
             f"{name} {distance:.1f} {unit}"
             for name, distance in zip(self._names, moment.distances, strict=False)
         ]
-        return [time, plan, total, *robots]
+        return [time_text, plan, total, *robots]
 
 
-def _followed(moment: Moment) -> Step | None:
-    """Return the control step whose plan robots follow.
+def _followed_step(moment: Moment) -> Step | None:
+    """Return the control step whose plan the robots follow.
 
-    None before the first step and at the end.
+    The result is None before the first step and at the end.
     """
     return None if moment.result else moment.step
 
 
 def _total_error(moment: Moment) -> float:
-    """Return the sum of the known distances of robots to their targets [length unit].
+    """Compute the sum of the robots' distances to their targets [length unit].
 
     An unknown distance counts as 0.
     """
@@ -397,49 +421,53 @@ class VideoFrames:
         self.recording = Recording(log)
         setup = log.start.setup
         colors = robot_colors(setup.names, setup.colors)
-        figure, scene_axes, curve_axes, words_axes = _empty_picture(setup.arena, width)
+        figure, scene_axes, curve_axes, words_axes = _create_figure(setup.arena, width)
         self._canvas = FigureCanvasAgg(figure)
-        figure.text(0.01, 0.985, _heading(log), va="top", color=style.GREY, fontsize=7.5)
+        figure.text(0.01, 0.985, _heading_text(log), va="top", color=style.GREY, fontsize=7.5)
         self._ground = DishGround(scene_axes, log)
         scene = _Scene(scene_axes, log, colors)
         curve = _ErrorCurve(curve_axes, self.recording)
-        words = _Words(words_axes, setup.names, colors)
-        self._parts = (scene, curve, words)
-        self._moving = [*scene.artists, curve.line, words.arrow, *words.lines]
-        for artist in self._moving:
+        numbers = _Numbers(words_axes, setup.names, colors)
+        self._parts = (scene, curve, numbers)
+        self._moving_artists = [*scene.artists, curve.line, numbers.arrow, *numbers.lines]
+        for artist in self._moving_artists:
             artist.set_animated(True)
-        self._draw_still()
+        self._draw_background()
 
-    def _draw_still(self) -> None:
+    def _draw_background(self) -> None:
         """Draw and keep the parts of the image that do not move."""
         self._canvas.draw()
-        self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
+        self._background = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
 
     def at(self, elapsed_s: float) -> Picture:
-        """Draw the image at `elapsed_s` [s] after the first direction was sent.
+        """Draw the image of an instant.
 
-        Its shape is (height, width, 3), with the colours red, green and blue.
+        Args:
+            elapsed_s: Time since the first direction was sent [s].
+
+        Returns:
+            The image, shape (height, width, 3), with the colours red, green and blue.
         """
         time_ns = self.recording.log.began_ns + round(elapsed_s * SECOND)
         moment = self.recording.at(time_ns)
-        for part in self._parts:
-            part.show(moment)
+        for moving_part in self._parts:
+            moving_part.show(moment)
         if self._ground.show(time_ns):
-            self._draw_still()
-        self._canvas.restore_region(self._still)
+            self._draw_background()
+        self._canvas.restore_region(self._background)
         renderer = self._canvas.get_renderer()
-        for artist in self._moving:
+        for artist in self._moving_artists:
             artist.draw(renderer)
         return np.asarray(self._canvas.buffer_rgba())[..., :3]
 
 
-def _heading(log: TrialLog) -> str:
-    """Return the heading of the video, which names the trial and says if it is incomplete.
+def _heading_text(log: TrialLog) -> str:
+    """Format the heading of the video, which names the trial and says if it is incomplete.
 
-    It is cut to HEADING_LETTERS characters.
+    The heading is cut to HEADING_LENGTH_MAX characters.
     """
     heading = f"{log.start.setup.name}, trial {log.start.trial}: {log.origin.value}"
     lacks = unfinished(log)
     if lacks:
         heading += f" ({lacks})"
-    return heading[:HEADING_LETTERS]
+    return heading[:HEADING_LENGTH_MAX]

@@ -78,7 +78,8 @@ class TrackFrames:
     poses [s]. `used` (M, N) says which of the poses (M, N, 3) update the filter. At the poses with
     `restarts` (M, N), the filter starts again from the measured pose. Robots that receive nothing
     for `watchdog` [s] stop. Their wheels follow with the time constant `lag` [s], and keep a rate
-    for `hold_moments`, which has the form of `model.motion.turn_rate.held` [s, s2, s3].
+    for `hold_moments`, which has the form of `model.motion.turn_rate.turning_with_hold` [s, s2,
+    s3].
     """
 
     time: Floats

@@ -237,15 +237,15 @@ def _print_cells(
 
     Then print the pairs of cells whose turning rates a are too similar to tell the cells apart.
     """
-    from tetractl.statistics.estimate import Z
+    from tetractl.statistics.estimate import NORMAL_QUANTILE
 
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"
         near = "" if cell.free else ", was near the edge, so its turning rate a is unreliable"
         print(
             f"cell {cell.number} at ({cell.pose.x:.0f}, {cell.pose.y:.0f}) {unit}: "
-            f"a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "
-            f"{cell.speed:.0f} ± {Z * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
+            f"a {cell.a:.2f} ± {NORMAL_QUANTILE * cell.a_sd:.2f} rad/s, speed "
+            f"{cell.speed:.0f} ± {NORMAL_QUANTILE * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
         )
     for first, second in pairs:
         print(f"cells {first.number} and {second.number} cannot be distinguished after they meet")

@@ -22,6 +22,7 @@ from tetractl_motioncapture.section import MotionCaptureSection
 NAME_MAX = 60
 """Maximum number of characters shown of a streamed body's name, which any sender chooses."""
 NAMES_MAX = 20
+"""Maximum number of streamed bodies that a message lists."""
 
 
 class MotionCapture(PortCamera):
@@ -50,8 +51,8 @@ class MotionCapture(PortCamera):
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
         self._bodies: list[str] = []
-        self._up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
-        self._place = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
+        self._up_axis = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
+        self._placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
         super().__init__(section, setup, clock, wake, ports)
 
     def port(self, *arguments: Any) -> SerialPort:
@@ -62,13 +63,15 @@ class MotionCapture(PortCamera):
 
     def check(self) -> Health:
         """Report each robot whose rigid body is missing from the stream."""
-        lost = [robot for robot in self.robots if str(robot.body) not in self._bodies]
+        untracked = [robot for robot in self.robots if str(robot.body) not in self._bodies]
         streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
-        rest = len(self._bodies) - NAMES_MAX
-        streamed = f"{streamed or 'none'} and {rest} more" if rest > 0 else streamed or "none"
+        unlisted = len(self._bodies) - NAMES_MAX
+        streamed = (
+            f"{streamed or 'none'} and {unlisted} more" if unlisted > 0 else streamed or "none"
+        )
         lines = [
             f"the system streams no rigid body {o.body} for {o.name}; it streams {streamed}"
-            for o in lost
+            for o in untracked
         ]
         return Health(tuple(lines), emulated=self.emulated)
 
@@ -78,10 +81,11 @@ class MotionCapture(PortCamera):
         self._bodies = list(line["bodies"])
         self.emulated = "emulated" in line
         return tuple(
-            self._pose(line["bodies"].get(str(o.body)), o.heading_offset) for o in self.robots
+            self._convert_pose(line["bodies"].get(str(o.body)), o.heading_offset)
+            for o in self.robots
         )
 
-    def _pose(self, body: list[float] | None, offset: float) -> Pose | None:
+    def _convert_pose(self, body: list[float] | None, offset: float) -> Pose | None:
         """Convert a body's position and quaternion to a pose.
 
         Args:
@@ -93,6 +97,8 @@ class MotionCapture(PortCamera):
         """
         if body is None:
             return None
-        x, y, z, *turn = body
-        qx, qy, qz, qw = turn
-        return self._place.pose(RigidBody(0, (x, y, z), (qx, qy, qz, qw), True), self._up, offset)
+        x, y, z, *quaternion = body
+        qx, qy, qz, qw = quaternion
+        return self._placement.pose(
+            RigidBody(0, (x, y, z), (qx, qy, qz, qw), True), self._up_axis, offset
+        )

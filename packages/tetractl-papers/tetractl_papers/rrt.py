@@ -54,7 +54,7 @@ class RrtSection(PlainSection):
     the robot drives straight to it.
     """
     ahead: ClassVar[float] = 0.7
-    """A robot is heading for a target if the cosine of the angle between them is at least this."""
+    """Minimum cosine of the angle between heading and target at which a robot drives towards it."""
 
     def bounds(self) -> dict[str, str]:
         """Describe the limit on the size of a tree, for display.
@@ -105,52 +105,60 @@ class Rrt(PlainController):
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
         """Point the field at the next corner, or end the trial; see `PlainController.decided`."""
-        signals = np.array([self._towards(problem, step_key)])
-        ended = self._passing(problem, signals, float(problem.poses.distances(problem.targets)[0]))
+        signals = np.array([self._choose_direction(problem, step_key)])
+        ended = self._end_if_passing(
+            problem, signals, float(problem.poses.distances(problem.targets)[0])
+        )
         return ended or given_plan(problem, signals, step_key)
 
-    def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction to send [rad], and plan a new path if the present one is blocked.
+    def _choose_direction(self, problem: Problem, key: int) -> float:
+        """Choose the direction to send [rad], which is usually that of the next corner.
 
-        It is the direction of the next corner. No path can begin inside an obstacle grown by the
-        margin, so a robot inside keeps its path. A robot that is too near its target to turn
-        towards it would circle it for ever. It therefore drives straight on until it is far enough
-        away.
+        A new path is planned if the way to the next corner is blocked. No path can begin inside an
+        obstacle grown by the margin, so a robot inside one keeps its path. A robot that is too near
+        its target to turn towards it would circle it for ever. It therefore drives straight on
+        until it is far enough away.
         """
-        place = problem.poses.xy[0]
+        position = problem.poses.xy[0]
         region = problem.obstacles
-        while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - place)) <= self._reach:
+        while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - position)) <= self._reach:
             self._path = self._path[1:]
-        blocked = bool(region.cross(place[0], place[1], self._path[0, 0], self._path[0, 1]))
-        if blocked and not region.contain(place[0], place[1]):
+        blocked = bool(region.cross(position[0], position[1], self._path[0, 0], self._path[0, 1]))
+        if blocked and not region.contain(position[0], position[1]):
             target = problem.targets[0]
             draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
-            path = grow(region, self._arena, place, target, self._edge, draws)
+            path = grow_tree(region, self._arena, position, target, self._edge, draws)
             self._path = target[None] if path is None else path
-        corner = self._path[0] - place
-        u = float(elementwise.atan2(corner[1], corner[0]))
+        to_corner = self._path[0] - position
+        u = float(elementwise.atan2(to_corner[1], to_corner[0]))
         heading = float(problem.poses.heading[0])
-        beside = len(self._path) == 1 and elementwise.hypot(*corner) <= self._reach
-        return heading if beside and elementwise.cos(u - heading) < self.section.ahead else u
+        is_too_near = len(self._path) == 1 and elementwise.hypot(*to_corner) <= self._reach
+        return heading if is_too_near and elementwise.cos(u - heading) < self.section.ahead else u
 
-    def _passing(self, problem: Problem, signals: Floats, gap: float) -> Outcome | End | None:
+    def _end_if_passing(
+        self, problem: Problem, signals: Floats, gap: float
+    ) -> Outcome | End | None:
         """Decide when the trial ends if the robot passes its target in this control period.
 
         Returns:
             The outcome, or an `End` with the delay until the closest point. None if the robot does
             not pass its target in this period.
         """
-        off = signals[0] - problem.poses.heading[0]
-        if len(self._path) > 1 or gap > self._reach or elementwise.cos(off) < self.section.ahead:
+        misalignment = signals[0] - problem.poses.heading[0]
+        if (
+            len(self._path) > 1
+            or gap > self._reach
+            or elementwise.cos(misalignment) < self.section.ahead
+        ):
             return None
         delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
         if error > foresee(problem, signals).target:
             return None
-        done = Outcome.NO_BETTER_PLAN
-        return End(done, delay_ns) if delay_ns else done
+        outcome = Outcome.NO_BETTER_PLAN
+        return End(outcome, delay_ns) if delay_ns else outcome
 
 
-def grow(
+def grow_tree(
     region: Obstacles,
     arena: Bounds,
     start: Floats,
@@ -173,30 +181,30 @@ def grow(
         The corners of the path, shape (M, 2). None if the tree does not reach the target.
     """
     nodes = np.empty((len(draws) + 1, 2))
-    before = np.zeros(len(draws) + 1, dtype=np.int64)
+    parents = np.zeros(len(draws) + 1, dtype=np.int64)
     nodes[0] = start
-    count = 1
-    low = np.array([arena.left, arena.bottom])
+    node_count = 1
+    lower_left = np.array([arena.left, arena.bottom])
     size = np.array([arena.width, arena.height])
-    for share, *place in draws.tolist():
-        point = target if share < RrtSection.goal_bias else low + size * place
-        ways = point - nodes[:count]
-        far = elementwise.hypot(ways[:, 0], ways[:, 1])
-        nearest = int(np.argmin(far))
+    for choice, *fractions in draws.tolist():
+        point = target if choice < RrtSection.goal_bias else lower_left + size * fractions
+        vectors = point - nodes[:node_count]
+        distances = elementwise.hypot(vectors[:, 0], vectors[:, 1])
+        nearest = int(np.argmin(distances))
         root = nodes[nearest]
-        long = float(far[nearest])
-        node = point if long <= edge else root + ways[nearest] * (edge / long)
-        if long == 0 or region.cross(root[0], root[1], node[0], node[1]):
+        length = float(distances[nearest])
+        node = point if length <= edge else root + vectors[nearest] * (edge / length)
+        if length == 0 or region.cross(root[0], root[1], node[0], node[1]):
             continue
-        nodes[count] = node
-        before[count] = nearest
-        count += 1
+        nodes[node_count] = node
+        parents[node_count] = nearest
+        node_count += 1
         distance = float(elementwise.hypot(*(target - node)))
         if distance <= edge and not region.cross(node[0], node[1], target[0], target[1]):
             path = [target]
-            i = count - 1
+            i = node_count - 1
             while i > 0:
                 path.append(nodes[i])
-                i = int(before[i])
+                i = int(parents[i])
             return np.array(path[::-1])
     return None

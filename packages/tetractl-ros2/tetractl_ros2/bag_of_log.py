@@ -1,10 +1,12 @@
 """Converts a trial's log to a rosbag2 recording, for `ros2 bag play`, RViz and other viewers.
 
-| topic | message | content | |---|---|---| | /tf | tf2_msgs/TFMessage | the measured pose of each
-tracked robot, a child frame of `world` | | /ROBOT/cmd_vel | geometry_msgs/TwistStamped | the
-command to each robot on wheels | | /direction | geometry_msgs/Vector3Stamped | the common
-direction, length 1; a stop has length 0 | | /ROBOT/plan | nav_msgs/Path | where the controller
-expects each robot to drive | | /targets | geometry_msgs/PoseArray | the targets, at the start |
+    /tf              tf2_msgs/TFMessage            the measured pose of each tracked robot, as a
+                                                   child frame of `world`
+    /ROBOT/cmd_vel   geometry_msgs/TwistStamped    the command to each robot on wheels
+    /direction       geometry_msgs/Vector3Stamped  the common direction as a vector of length 1,
+                                                   or of length 0 for a stop
+    /ROBOT/plan      nav_msgs/Path                 where the controller expects the robot to drive
+    /targets         geometry_msgs/PoseArray       the targets, once at the start
 
 Positions are in m. The stamp in a header is the time of exposure or sending. The time of recording
 is the time at which a message reached or left the computer.
@@ -68,8 +70,8 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
                 data = store.serialize_cdr(message, kind)
                 writer.write(connections[topic], recorded_ns, data)
     except OSError as error:
-        why = error.strerror or str(error)
-        raise LogError(f"{printable(str(folder))}: cannot be written: {why}") from error
+        reason = error.strerror or str(error)
+        raise LogError(f"{printable(str(folder))}: cannot be written: {reason}") from error
     return len(entries)
 
 
@@ -101,101 +103,106 @@ class BagMessages:
 
         They are not sorted by time.
         """
-        yield self._targets()
-        yield from self._transforms()
+        yield self._targets_entry()
+        yield from self._transform_entries()
         for command in self._trial.commands:
-            yield from self._command(command)
-        yield from self._plans()
+            yield from self._command_entries(command)
+        yield from self._plan_entries()
 
     def _unix_ns(self, trial_ns: int) -> int:
         return self._trial.start.start_unix_ns + int(trial_ns)
 
-    def _new(self, kind: str, **fields: Any) -> Any:
+    def _make(self, kind: str, **fields: Any) -> Any:
         return self._types[kind](**fields)
 
-    def _header(self, trial_ns: int, frame: str = FRAME) -> Any:
+    def _make_header(self, trial_ns: int, frame: str = FRAME) -> Any:
         sec, nanosec = divmod(self._unix_ns(trial_ns), SECOND)
-        stamp = self._new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        return self._new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+        stamp = self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
-    def _vector(self, x: float, y: float, z: float) -> Any:
-        return self._new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
+    def _make_vector(self, x: float, y: float, z: float) -> Any:
+        return self._make("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
 
-    def _turned(self, heading: float) -> Any:
-        half = float(heading) / 2
+    def _make_quaternion(self, heading: float) -> Any:
+        half_turn = float(heading) / 2
         kind = "geometry_msgs/msg/Quaternion"
-        return self._new(kind, x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
+        return self._make(kind, x=0.0, y=0.0, z=math.sin(half_turn), w=math.cos(half_turn))
 
-    def _pose(self, x: float, y: float, heading: float) -> Any:
-        place = {"x": float(x) * self._metres, "y": float(y) * self._metres, "z": 0.0}
-        point = self._new("geometry_msgs/msg/Point", **place)
-        turned = self._turned(heading)
-        return self._new("geometry_msgs/msg/Pose", position=point, orientation=turned)
+    def _make_pose(self, x: float, y: float, heading: float) -> Any:
+        coordinates_m = {"x": float(x) * self._metres, "y": float(y) * self._metres, "z": 0.0}
+        point = self._make("geometry_msgs/msg/Point", **coordinates_m)
+        orientation = self._make_quaternion(heading)
+        return self._make("geometry_msgs/msg/Pose", position=point, orientation=orientation)
 
-    def _targets(self) -> Entry:
+    def _targets_entry(self) -> Entry:
         targets = self._trial.start.setup.targets
-        poses = [self._pose(x, y, 0.0) for x, y in targets]
-        header = self._header(0)
-        array = self._new("geometry_msgs/msg/PoseArray", header=header, poses=poses)
+        poses = [self._make_pose(x, y, 0.0) for x, y in targets]
+        header = self._make_header(0)
+        array = self._make("geometry_msgs/msg/PoseArray", header=header, poses=poses)
         return self._unix_ns(0), "/targets", "geometry_msgs/msg/PoseArray", array
 
-    def _transforms(self) -> Iterator[Entry]:
+    def _transform_entries(self) -> Iterator[Entry]:
         trial = self._trial
         kind = "tf2_msgs/msg/TFMessage"
         for row, received_ns in enumerate(trial.received_ns):
             transforms = [
-                self._transform(part, trial.exposed_ns[row, i], trial.mocap[row, i])
+                self._make_transform(part, trial.exposed_ns[row, i], trial.mocap[row, i])
                 for i, part in enumerate(self._parts)
                 if trial.valid[row, i]
             ]
             if transforms:
-                message = self._new(kind, transforms=transforms)
+                message = self._make(kind, transforms=transforms)
                 yield self._unix_ns(received_ns), "/tf", kind, message
 
-    def _transform(self, child: str, exposed_ns: int, pose: Any) -> Any:
+    def _make_transform(self, child: str, exposed_ns: int, pose: Any) -> Any:
         x, y, heading = pose
-        moved = self._vector(x * self._metres, y * self._metres, 0.0)
-        turned = self._turned(heading)
+        translation = self._make_vector(x * self._metres, y * self._metres, 0.0)
+        rotation = self._make_quaternion(heading)
         kind = "geometry_msgs/msg/Transform"
-        transform = self._new(kind, translation=moved, rotation=turned)
-        return self._new(
+        transform = self._make(kind, translation=translation, rotation=rotation)
+        return self._make(
             "geometry_msgs/msg/TransformStamped",
-            header=self._header(exposed_ns),
+            header=self._make_header(exposed_ns),
             child_frame_id=child,
             transform=transform,
         )
 
-    def _command(self, command: Command) -> Iterator[Entry]:
+    def _command_entries(self, command: Command) -> Iterator[Entry]:
         at_ns = self._unix_ns(command.sent_ns)
-        header = self._header(command.sent_ns)
+        header = self._make_header(command.sent_ns)
         direction = command.direction
         along = (0.0, 0.0) if direction is None else (math.cos(direction), math.sin(direction))
         kind = "geometry_msgs/msg/Vector3Stamped"
-        vector = self._vector(*along, 0.0)
-        yield at_ns, "/direction", kind, self._new(kind, header=header, vector=vector)
+        vector = self._make_vector(*along, 0.0)
+        yield at_ns, "/direction", kind, self._make(kind, header=header, vector=vector)
         if command.left is None or command.right is None or self._radius_m is None:
             return
         kind = "geometry_msgs/msg/TwistStamped"
         for part, left, right in zip(self._parts, command.left, command.right, strict=True):
-            v = (left + right) / 2 * self._metres
-            w = (right - left) * self._metres / (2 * self._radius_m)
-            linear = self._vector(v, 0.0, 0.0)
-            angular = self._vector(0.0, 0.0, w)
-            twist = self._new("geometry_msgs/msg/Twist", linear=linear, angular=angular)
-            own = self._header(command.sent_ns, part)
-            yield at_ns, f"/{part}/cmd_vel", kind, self._new(kind, header=own, twist=twist)
+            speed_m_s = (left + right) / 2 * self._metres
+            turning_rad_s = (right - left) * self._metres / (2 * self._radius_m)
+            linear = self._make_vector(speed_m_s, 0.0, 0.0)
+            angular = self._make_vector(0.0, 0.0, turning_rad_s)
+            twist = self._make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
+            robot_header = self._make_header(command.sent_ns, part)
+            yield (
+                at_ns,
+                f"/{part}/cmd_vel",
+                kind,
+                self._make(kind, header=robot_header, twist=twist),
+            )
 
-    def _plans(self) -> Iterator[Entry]:
+    def _plan_entries(self) -> Iterator[Entry]:
         kind = "nav_msgs/msg/Path"
         stamped = "geometry_msgs/msg/PoseStamped"
         for step in self._trial.steps:
             at_ns = step.command.sent_ns
-            header = self._header(at_ns)
+            header = self._make_header(at_ns)
             for i, part in enumerate(self._parts):
                 poses = [
-                    self._new(stamped, header=header, pose=self._pose(x, y, heading))
+                    self._make(stamped, header=header, pose=self._make_pose(x, y, heading))
                     for x, y, heading in step.plan.path[:, i]
                     if math.isfinite(x) and math.isfinite(y)
                 ]
-                path = self._new(kind, header=header, poses=poses)
+                path = self._make(kind, header=header, poses=poses)
                 yield self._unix_ns(at_ns), f"/{part}/plan", kind, path

@@ -37,43 +37,55 @@ def sightings(kind: str, message: Any) -> list[BodySighting]:
     """
     match kind:
         case "PoseStamped":
-            return [_sighting(None, message.header, message.pose)]
+            return [_read_sighting(None, message.header, message.pose)]
         case "Odometry" | "PoseWithCovarianceStamped":
-            return [_sighting(None, message.header, message.pose.pose)]
+            return [_read_sighting(None, message.header, message.pose.pose)]
         case "NamedPoseArray":
-            return [_sighting(named.name, message.header, named.pose) for named in message.poses]
+            return [
+                _read_sighting(named.name, message.header, named.pose) for named in message.poses
+            ]
         case "TFMessage":
-            return [_of_transform(stamped) for stamped in message.transforms]
+            return [_read_transform(stamped) for stamped in message.transforms]
         case _:
             raise TypeError(f"a {kind} holds no poses")
 
 
 def stamp_ns(header: Any) -> int:
-    """Return the time stamp in the header of a ROS 2 message [ns].
-
-    It is 0 if the stamp is not set.
-    """
+    """Read the time stamp in the header of a ROS 2 message [ns], which is 0 if it is not set."""
     return header.stamp.sec * SECOND + header.stamp.nanosec
 
 
-def bare(frame: str) -> str:
+def without_slash(frame: str) -> str:
     """Remove the leading slash that old programs put before the name of a frame, if it has one."""
     return frame.removeprefix("/")
 
 
-def _sighting(body: str | None, header: Any, pose: Any) -> BodySighting:
-    at = pose.position
-    turn = pose.orientation
-    return BodySighting(body, bare(header.frame_id), stamp_ns(header), _rigid(at, turn))
-
-
-def _of_transform(stamped: Any) -> BodySighting:
-    rigid = _rigid(stamped.transform.translation, stamped.transform.rotation)
-    header = stamped.header
+def _read_sighting(body: str | None, header: Any, pose: Any) -> BodySighting:
+    position = pose.position
+    orientation = pose.orientation
     return BodySighting(
-        bare(stamped.child_frame_id), bare(header.frame_id), stamp_ns(header), rigid
+        body,
+        without_slash(header.frame_id),
+        stamp_ns(header),
+        _make_rigid_body(position, orientation),
     )
 
 
-def _rigid(at: Any, turn: Any) -> RigidBody:
-    return RigidBody(0, (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w), True)
+def _read_transform(stamped: Any) -> BodySighting:
+    rigid = _make_rigid_body(stamped.transform.translation, stamped.transform.rotation)
+    header = stamped.header
+    return BodySighting(
+        without_slash(stamped.child_frame_id),
+        without_slash(header.frame_id),
+        stamp_ns(header),
+        rigid,
+    )
+
+
+def _make_rigid_body(position: Any, orientation: Any) -> RigidBody:
+    return RigidBody(
+        0,
+        (position.x, position.y, position.z),
+        (orientation.x, orientation.y, orientation.z, orientation.w),
+        True,
+    )

@@ -24,7 +24,7 @@ from tetractl.lab.cameras.stamp_clock import StampClock
 from tetractl.lab.serial_port import UNREADABLE, Ports
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import drained
-from tetractl_ros2.body_readings import BodySighting, bare, sightings
+from tetractl_ros2.body_readings import BodySighting, sightings, without_slash
 from tetractl_ros2.frame_group import FrameGroup, Readings, RobotReading
 from tetractl_ros2.ros2_messages import Bool
 from tetractl_ros2.section import Ros2CameraSection
@@ -32,16 +32,18 @@ from tetractl_ros2.topic_port import TopicPort, ports_of
 from tetractl_ros2.topics import POSES, emulated_topic, pose_topics
 
 FIRST_S = 5.0
-"""Maximum time until every robot has a pose [s]: nodes have to find each other first."""
+"""Maximum time until every robot has a pose [s]. The nodes have to find each other first."""
 FRAMES_WAITING_MAX = 1000
 """Maximum number of frames that wait to be read."""
 SAME_CLOCK_NS = SECOND // 2
 """Maximum age of a quick message's stamp on this computer's clock, if the clocks agree [ns]."""
 LATENCY_OFF_NS = SECOND // 50
-"""Difference between that age and `latency` above which `check` warns [ns]."""
+"""Difference between this age and `latency` above which `check` warns [ns]."""
 UNSEEN_NS = SECOND // 10
-"""Age of a robot's last pose, compared with the newest of all, above which it is not tracked [ns].
-Nothing tells that a body is hidden: a node just sends no more poses of it."""
+"""Age from which on a robot's last pose no longer counts, relative to the newest pose [ns].
+
+No message says that a body is hidden: the node sends no more poses of this body.
+"""
 BODIES_MAX = 20
 """Maximum number of streamed bodies that a message lists."""
 NAME_MAX = 60
@@ -82,37 +84,39 @@ class Ros2Camera:
         self._unix_ns = unix_ns
         self._lock = threading.Lock()
         robots = [entry(section.robots, name) for name in setup.names]
-        self._rows = {bare(robot.body): row for row, robot in enumerate(robots)}
+        self._rows = {without_slash(robot.body): row for row, robot in enumerate(robots)}
         self._offsets = [robot.heading_offset for robot in robots]
-        self._place = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
+        self._placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
         self._message = POSES[section.message]
-        self._at_once = section.message == "NamedPoseArray"
-        self._not_shown: dict[int, Pose | None] = {}
+        self._is_one_message = section.message == "NamedPoseArray"
+        self._untracked: dict[int, Pose | None] = {}
         """Readings of the robots that a message does not contain: they are not tracked.
 
         It is empty if each robot has its own messages.
         """
-        if self._at_once:
-            self._not_shown = dict.fromkeys(range(len(robots)))
+        if self._is_one_message:
+            self._untracked = dict.fromkeys(range(len(robots)))
         self._group = FrameGroup(len(robots))
         self._bodies = set[str]()  # names that were streamed
         self._frames_seen: dict[int, str] = {}  # other frames in which robots were shown, by row
         self._first_damaged = ""
-        self._unstamped = False
-        self._emulated = False
+        self._has_unstamped = False
+        self._is_emulated = False
         self._number = 0
         self._newest_ns = -1
         self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
         topics = pose_topics(section, setup)
         self._clocks = [StampClock() for _ in topics]
         marker = emulated_topic()
-        make = ports or ports_of([*topics, marker])
+        make_port = ports or ports_of([*topics, marker])
         self._ports = [
-            make(topic.address(section.domain), 0, topic.name, clock, partial(self._hear, i), HINT)
+            make_port(
+                topic.address(section.domain), 0, topic.name, clock, partial(self._receive, i), HINT
+            )
             for i, topic in enumerate(topics)
         ]
-        self._marker = make(
-            marker.address(section.domain), 0, marker.name, clock, self._hear_marker, ""
+        self._marker = make_port(
+            marker.address(section.domain), 0, marker.name, clock, self._receive_marker, ""
         )
 
     def __enter__(self) -> Self:
@@ -121,14 +125,14 @@ class Ros2Camera:
         If only some robots have a pose after FIRST_S, the method returns anyway.
 
         Raises:
-            AbortError: No pose at all arrived by then, or a topic cannot be opened.
+            AbortError: If no pose at all has arrived by then, or if a topic cannot be opened.
         """
         try:
             for port in (*self._ports, self._marker):
                 port.open()
             wait_for(self._clock, self._has_all, FIRST_S)
             if self._number == 0:
-                raise self._silence()
+                raise self._explain_silence()
         except BaseException:
             self._close()
             raise
@@ -143,11 +147,11 @@ class Ros2Camera:
         The first two are problems, and wrong time stamps are warnings.
         """
         with self._lock:
-            problems = (*self._missing(), *self._crowded())
+            problems = (*self._describe_missing(), *self._describe_crowded())
             warnings = tuple(self._stamp_warnings())
             age_ns = self._quickest_age_ns()
             facts = {} if age_ns is None else {"ros2_stamp_age_s": f"{age_ns / SECOND:.4f}"}
-            return Health(problems, warnings, facts, emulated=self._emulated)
+            return Health(problems, warnings, facts, emulated=self._is_emulated)
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame since the last call, oldest first."""
@@ -156,24 +160,26 @@ class Ros2Camera:
     def _has_all(self) -> bool:
         return all(reading.pose is not None for reading in self._group.last)
 
-    def _silence(self) -> AbortError:
-        """Create the error for a camera that has sent no usable pose.
+    def _explain_silence(self) -> AbortError:
+        """Create the error for a tracker that has sent no usable pose.
 
-        It names the first cause that applies: a failed port, messages that could not be
+        The error names the first cause that applies: a failed port, messages that could not be
         read, or a robot without poses.
         """
         failure = next((port.failure for port in self._ports if port.failure), None)
         if failure is not None:
             return AbortError(failure, HINT)
         if self._first_damaged:
-            many = f"{self.damaged} messages came on {self.section.address}, but none could be read"
-            return AbortError(
-                f"{many}; error of the first: {self._first_damaged}", "is `message` right?"
+            summary = (
+                f"{self.damaged} messages came on {self.section.address}, but none could be read"
             )
-        missing = self._missing()
+            return AbortError(
+                f"{summary}; error of the first: {self._first_damaged}", "is `message` right?"
+            )
+        missing = self._describe_missing()
         return AbortError(missing[0] if missing else "no pose came", HINT)
 
-    def _missing(self) -> tuple[str, ...]:
+    def _describe_missing(self) -> tuple[str, ...]:
         """Describe each robot that has no pose yet, in the setup's order, with the likely cause."""
         lines: list[str] = []
         for row, (name, reading) in enumerate(
@@ -182,28 +188,30 @@ class Ros2Camera:
             if reading.pose is not None:
                 continue
             body = entry(self.section.robots, name).body
-            other = self._frames_seen.get(row)
-            if other is not None:
-                shown = printable(other, NAME_MAX) or '""'
-                lines.append(f"{name}'s poses are in the frame {shown}, not {self.section.frame}")
+            other_frame = self._frames_seen.get(row)
+            if other_frame is not None:
+                frame_text = printable(other_frame, NAME_MAX) or '""'
+                lines.append(
+                    f"{name}'s poses are in the frame {frame_text}, not {self.section.frame}"
+                )
             elif len(self._ports) > 1:
                 topic = self.section.topics(self._setup)[row]
                 lines.append(f"{name} has no pose, because no message came on {topic}")
             else:
-                where = f"{self.section.topic_pattern}; bodies there: {self._body_list()}"
-                lines.append(f"there is no body {body} for {name} on {where}")
+                place = f"{self.section.topic_pattern}; bodies there: {self._list_bodies()}"
+                lines.append(f"there is no body {body} for {name} on {place}")
         return tuple(lines)
 
-    def _body_list(self) -> str:
+    def _list_bodies(self) -> str:
         names = sorted(self._bodies)
-        text = ", ".join(printable(name, NAME_MAX) for name in names[:BODIES_MAX]) or "none"
-        more = len(names) - BODIES_MAX
-        return f"{text} and {more} more" if more > 0 else text
+        listed = ", ".join(printable(name, NAME_MAX) for name in names[:BODIES_MAX]) or "none"
+        unlisted = len(names) - BODIES_MAX
+        return f"{listed} and {unlisted} more" if unlisted > 0 else listed
 
-    def _crowded(self) -> tuple[str, ...]:
-        """Describe each topic on which several nodes publish poses.
+    def _describe_crowded(self) -> tuple[str, ...]:
+        """Describe each topic on which several nodes publish poses, except /tf.
 
-        Empty for /tf, where this is normal.
+        On /tf, several nodes are normal.
         """
         if self.section.message == "TFMessage":
             return ()
@@ -214,20 +222,20 @@ class Ros2Camera:
         )
 
     def _quickest_age_ns(self) -> int | None:
-        """Return how old the quickest message's stamp was on arrival, by our clock [ns].
+        """Compute how old the stamp of the quickest message was on arrival, by our clock [ns].
 
-        The result is None if no stamp has come, if a stamp is missing, or if the tracker
-        is emulated.
+        The result is None if no stamp has come, if a message had no stamp, or if the tracker is
+        emulated.
         """
-        gaps = [clock.quickest_ns for clock in self._clocks]
-        known = [gap for gap in gaps if gap is not None]
-        if not known or self._emulated or self._unstamped:
+        gaps_ns = [clock.quickest_ns for clock in self._clocks]
+        known_gaps = [gap for gap in gaps_ns if gap is not None]
+        if not known_gaps or self._is_emulated or self._has_unstamped:
             return None
-        return max(known) + self._unix_ns() - self._clock.now()
+        return max(known_gaps) + self._unix_ns() - self._clock.now()
 
     def _stamp_warnings(self) -> Iterator[str]:
         latency_s = self.section.latency
-        if self._unstamped:
+        if self._has_unstamped:
             yield (
                 f"the poses have no time stamp: each is taken as {latency_s:g} s old when it "
                 "arrives, even if it is late"
@@ -249,58 +257,58 @@ class Ros2Camera:
                 "`latency` to the first value"
             )
 
-    def _hear_marker(self, data: bytes, _at_ns: int) -> None:
+    def _receive_marker(self, data: bytes, _at_ns: int) -> None:
         if data:  # otherwise the port has failed
             with suppress(*UNREADABLE):
-                self._emulated = self._emulated or Bool.deserialize(data).data
+                self._is_emulated = self._is_emulated or Bool.deserialize(data).data
 
-    def _hear(self, topic: int, data: bytes, at_ns: int) -> None:
+    def _receive(self, topic: int, data: bytes, at_ns: int) -> None:
         """Process a message of a topic. Empty `data` mean that the topic's port has failed."""
         with self._lock:
             if not data:
-                self._take_failure(topic, at_ns)
+                self._queue_failure(topic, at_ns)
             else:
-                self._take_message(topic, data, at_ns)
+                self._read_message(topic, data, at_ns)
         self._wake()
 
-    def _take_failure(self, topic: int, at_ns: int) -> None:
+    def _queue_failure(self, topic: int, at_ns: int) -> None:
         fault = self._ports[topic].failure or f"reading the topic {self.section.address} failed"
         self._number += 1
-        none = (None,) * len(self._setup.names)
-        self._waiting.append(CameraFrame(self._number, at_ns, at_ns, none, fault=fault))
+        no_poses = (None,) * len(self._setup.names)
+        self._waiting.append(CameraFrame(self._number, at_ns, at_ns, no_poses, fault=fault))
 
-    def _take_message(self, topic: int, data: bytes, at_ns: int) -> None:
+    def _read_message(self, topic: int, data: bytes, at_ns: int) -> None:
         try:
-            shown = sightings(self.section.message, self._message.deserialize(data))
+            bodies = sightings(self.section.message, self._message.deserialize(data))
         except UNREADABLE as error:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
         by_stamp: dict[int, dict[int, Pose | None]] = {}
-        for sighting in shown:
-            row = self._row(topic, sighting)
+        for sighting in bodies:
+            row = self._find_row(topic, sighting)
             if row is not None:
-                pose = self._place.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
+                pose = self._placement.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
                 by_stamp.setdefault(max(0, sighting.stamp_ns), {})[row] = pose
         complete: list[Readings] = []
         for stamp_ns in sorted(by_stamp):
             exposed_ns = self._exposed_ns(topic, stamp_ns, at_ns)
-            seen = self._not_shown | by_stamp[stamp_ns]
-            readings = {row: RobotReading(pose, exposed_ns) for row, pose in seen.items()}
+            poses_by_row = self._untracked | by_stamp[stamp_ns]
+            readings = {row: RobotReading(pose, exposed_ns) for row, pose in poses_by_row.items()}
             complete += self._group.add(stamp_ns or at_ns, readings)
         if complete:  # what came in one message is one frame, also with several stamps
-            self._pass_on(complete[-1], at_ns)
+            self._queue_frame(complete[-1], at_ns)
 
-    def _row(self, topic: int, sighting: BodySighting) -> int | None:
+    def _find_row(self, topic: int, sighting: BodySighting) -> int | None:
         """Find the index of the robot that a sighting belongs to.
 
-        The result is None if it is another body, or if its pose is in another frame than
-        the section's.
+        The result is None for an unknown body, and for a pose in another coordinate frame than the
+        section's.
         """
         if sighting.body is not None:
             self._bodies.add(sighting.body)
         row = topic if sighting.body is None else self._rows.get(sighting.body)
-        if row is not None and sighting.frame != bare(self.section.frame):
+        if row is not None and sighting.frame != without_slash(self.section.frame):
             self._frames_seen[row] = sighting.frame
             return None
         return row
@@ -315,14 +323,14 @@ class Ros2Camera:
         if stamp_ns > 0:
             late_ns = self._clocks[topic].late_ns(stamp_ns, at_ns)
         else:
-            self._unstamped = True
+            self._has_unstamped = True
         return max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
 
-    def _pass_on(self, readings: Readings, at_ns: int) -> None:
+    def _queue_frame(self, readings: Readings, at_ns: int) -> None:
         """Queue the frame with these readings, if it is newer than the last one.
 
-        A robot whose reading is more than UNSEEN_NS older than the newest one has no pose
-        in it.
+        In this frame, a robot has no pose if its reading is more than UNSEEN_NS older than the
+        newest reading.
         """
         newest_ns = max(reading.exposed_ns for reading in readings)
         if newest_ns <= self._newest_ns:
@@ -331,8 +339,12 @@ class Ros2Camera:
         self._number += 1
         since_ns = newest_ns - UNSEEN_NS
         poses = tuple(o.pose if o.exposed_ns >= since_ns else None for o in readings)
-        times = () if self._at_once else tuple(reading.exposed_ns for reading in readings)
-        self._waiting.append(CameraFrame(self._number, newest_ns, at_ns, poses, exposed_ns=times))
+        exposure_times = (
+            () if self._is_one_message else tuple(reading.exposed_ns for reading in readings)
+        )
+        self._waiting.append(
+            CameraFrame(self._number, newest_ns, at_ns, poses, exposed_ns=exposure_times)
+        )
 
     def _close(self) -> None:
         for port in (*self._ports, self._marker):

@@ -8,11 +8,11 @@ import pytest
 from tetractl_testing.expect import (
     Finding,
     expect,
+    expect_near,
+    expect_same,
+    expect_true,
     findings_of,
-    near,
     random_watched,
-    same,
-    true,
 )
 
 from tetractl.core.errors import UsageError
@@ -41,18 +41,18 @@ def problem_of(check, *args):
 )
 def test_results_are_near_within_a_share_of_the_scale(ours, theirs, scale, problem):
     """Regression: a result that is no number passed, and hid the other cases."""
-    assert problem_of(near, ours, theirs, scale, 0.1) == problem
+    assert problem_of(expect_near, ours, theirs, scale, 0.1) == problem
 
 
 def test_the_first_case_that_is_not_good_is_named():
-    assert problem_of(true, [True, True]) == ""
-    assert problem_of(true, [True, False, False], "wrong") == "wrong in case 1 of 3"
-    assert problem_of(true, False) == "not so in case 0 of 1"
+    assert problem_of(expect_true, [True, True]) == ""
+    assert problem_of(expect_true, [True, False, False], "wrong") == "wrong in case 1 of 3"
+    assert problem_of(expect_true, False) == "not so in case 0 of 1"
 
 
 def test_the_same_bits_are_expected():
-    assert problem_of(same, [np.array([1.0, math.nan])], [np.array([1.0, math.nan])]) == ""
-    assert problem_of(same, [np.array([1.0])], [np.array([1.0 + 2**-52])]) != ""
+    assert problem_of(expect_same, [np.array([1.0, math.nan])], [np.array([1.0, math.nan])]) == ""
+    assert problem_of(expect_same, [np.array([1.0])], [np.array([1.0 + 2**-52])]) != ""
 
 
 def test_without_a_list_a_problem_is_raised_and_nothing_else():

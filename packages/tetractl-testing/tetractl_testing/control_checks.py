@@ -28,7 +28,14 @@ from tetractl.core.setup import Setup
 from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import CheckedController
 from tetractl.spec.controller import ControllerSection, Host, OptimizerSection
-from tetractl_testing.expect import SEED, expect, near, random_watched, same, true
+from tetractl_testing.expect import (
+    SEED,
+    expect,
+    expect_near,
+    expect_same,
+    expect_true,
+    random_watched,
+)
 
 STEPS_MAX = 3
 """Number of control periods of a simulation before its time limit."""
@@ -86,26 +93,28 @@ def _check_search(
     again = optimizer.search(problem, length, start, SEED, Limits())
     if start is not None:
         what = f"{length} signals, warm start: "
-        same(f"{what}not changed", [start], [before])
+        expect_same(f"{what}not changed", [start], [before])
     shape = np.shape(search.signals)
     if shape != (length,):
         expect(f"{what}signals", f"have the shape {shape} instead of ({length},)")
         return
     record = (search.signals, search.history, search.evaluations)
     record_again = (again.signals, again.history, again.evaluations)
-    same(f"{what}the same key gives the same search", record, record_again)
+    expect_same(f"{what}the same key gives the same search", record, record_again)
     cost = float(compiled_costs(problem, 1)(search.signals[:, None])[0])
-    near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
-    near(f"{what}history: its last value is the cost", search.history[-1], search.cost, 1 + cost)
-    true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
-    true(f"{what}evaluations: are at least 1", search.evaluations >= 1, "there are none")
+    expect_near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
+    expect_near(
+        f"{what}history: its last value is the cost", search.history[-1], search.cost, 1 + cost
+    )
+    expect_true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
+    expect_true(f"{what}evaluations: are at least 1", search.evaluations >= 1, "there are none")
     most = optimizer.evaluations_max
     if most is not None:
         text = f"{what}evaluations: are at most evaluations_max"
-        true(text, search.evaluations <= most, str(search.evaluations))
+        expect_true(text, search.evaluations <= most, str(search.evaluations))
     budget = optimizer.evaluations_min + EXTRA_EVALUATIONS
     spent = optimizer.search(problem, length, start, SEED, Limits(budget)).evaluations
-    true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
+    expect_true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
 
 @dataclass(slots=True)
@@ -227,8 +236,8 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     _check_plans(run.plans, section, setup, run.first)
     _check_ends(run, section, setup)
     searches = any(isinstance(value, OptimizerSection) for _, value in section)
-    true("wrap: receives the optimiser", run.wraps or not searches)
-    same("key: the same key gives the same decisions", run.numbers, again.numbers)
+    expect_true("wrap: receives the optimiser", run.wraps or not searches)
+    expect_same("key: the same key gives the same decisions", run.numbers, again.numbers)
     expect("random numbers: come only from the key", " and ".join(used))
     expect("clock: reads only `timer`", ", ".join(sorted(clock_calls)))
 
@@ -238,24 +247,24 @@ def _check_plans(
 ) -> None:
     """Check each plan, and check that the first one begins at the poses `first` (N, 3)."""
     finite = [np.isfinite(plan.path).all() for plan in plans]
-    true("plan: its path is finite", finite)
+    expect_true("plan: its path is finite", finite)
     largest = [np.abs(plan.signals).max(initial=0.0) for plan in plans]
-    true("plan: its signals are from -pi to pi", np.array(largest) <= SIGNAL_MAX)
+    expect_true("plan: its signals are from -pi to pi", np.array(largest) <= SIGNAL_MAX)
     chosen = [np.array_equal(plan.signals, plan.search.signals) for plan in plans]
-    true("plan: its signals are those of the chosen search", chosen)
+    expect_true("plan: its signals are those of the chosen search", chosen)
     consistent = [_consistent(search) for plan in plans for search in plan.searches]
-    true("searches: signals, history and cost fit together", consistent)
+    expect_true("searches: signals, history and cost fit together", consistent)
     if plans:
         path = plans[0].path
         size = max(plans[0].target_cost, 1e-9)
-        near("plan: its path starts at the observed poses", path[0], first, 1.0)
+        expect_near("plan: its path starts at the observed poses", path[0], first, 1.0)
         to_targets = path[-1, :, :2] - setup.targets
         distance = np.hypot(to_targets[:, 0], to_targets[:, 1]).sum()
-        near(
+        expect_near(
             "plan: target_cost is the cost of the path's end", plans[0].target_cost, distance, size
         )
     fields = [section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans]
-    true("plan: is FieldOff only if switches_field is set", fields)
+    expect_true("plan: is FieldOff only if switches_field is set", fields)
 
 
 def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> None:
@@ -267,7 +276,7 @@ def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> 
     in_time = count_of_plans < len(run.decisions) and count_of_plans <= STEPS_MAX + 1
     if count_of_plans == STEPS_MAX + 1:
         in_time = in_time and run.decisions[-1] is Outcome.TIME_LIMIT
-    true("time_limit: ends the trial", in_time)
+    expect_true("time_limit: ends the trial", in_time)
     robots = len(setup.names)
     for fraction, arrived in ((0.95, True), (1.05, False)):
         aside = np.array([fraction * section.arrival_tolerance, 0.0])
@@ -277,7 +286,7 @@ def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> 
         decision = controller.plan(Observation(0, 0, 0, poses, all_seen))
         ended = decision is Outcome.ARRIVED
         what = "ends the trial" if arrived else "a robot further off has not arrived"
-        true(f"arrival_tolerance: {what}", ended == arrived)
+        expect_true(f"arrival_tolerance: {what}", ended == arrived)
 
 
 def _consistent(search: Search) -> bool:

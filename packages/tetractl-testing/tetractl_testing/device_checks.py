@@ -34,31 +34,32 @@ from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.spec.lab_section import ActuatorSection, CameraSection, LabLimits
 from tetractl.spec.section_abilities import OnPort
-from tetractl_testing.expect import expect, near, true
+from tetractl_testing.expect import expect, expect_near, expect_true
 
-EMULATED_S = 120.0
+EMULATED_TIMEOUT_S = 120.0
 """Maximum time until an emulated device does what is expected, on a busy host [s]."""
-REAL_S = 5.0
+REAL_TIMEOUT_S = 5.0
 """Maximum time until frames of a real camera arrive [s]."""
 FRAMES = 10
 """Number of frames that are examined."""
-LEFT_NS = SECOND // 20
-"""Time after which a camera that was left must have no new frame [ns]."""
-PLACE_M = 0.005
+SILENCE_NS = SECOND // 20
+"""Time for which a camera that was left is watched for new frames [ns]."""
+POSITION_ERROR_M = 0.005
 """Maximum distance between a measured position and the true one [m]."""
-HEADING = 0.05
+HEADING_ERROR_RAD = 0.05
 """Maximum difference between a measured heading and the true one [rad]."""
 HEIGHT_M = 0.06
-"""Height of the body of a robot on the floor [m], within a range of `HEIGHT_BAND_M`."""
+"""Height of the body of a robot on the floor [m]."""
 HEIGHT_BAND_M = 0.05
+"""Maximum difference of a measured height from HEIGHT_M [m]."""
 TILT_MAX = 0.2
 """Maximum tilt of a robot on the floor [rad]."""
-TURNING = 0.2
+TURNING_ERROR = 0.2
 """Maximum error of a turning rate against equation (3), relative to the largest rate."""
-SPEED = 0.1
+SPEED_ERROR = 0.1
 """Maximum relative difference of a speed from the spec's."""
-DIRECTION = 0.5
-"""Direction in which robots are steered where any direction would do [rad]."""
+DIRECTION_RAD = 0.5
+"""Direction in which robots are steered if the direction does not matter [rad]."""
 
 
 @dataclass(frozen=True)
@@ -115,39 +116,45 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         return resolve_name(section.device)(section, setup, clock, wake, scene.ports)
 
     camera = build()
-    _members("camera", camera, Camera)
+    _check_members("camera", camera, Camera)
     with ExitStack() as stack:
         try:
             entered = stack.enter_context(camera)
         except AbortError as error:
             expect(f"the camera was not opened, so its frames were not checked ({error.message})")
             return
-        true("__enter__: returns the camera", entered is camera)
+        expect_true("__enter__: returns the camera", entered is camera)
         camera.frames()  # while it connects, it may not know its clock yet
-        before = len(calls)
-        frames = _next_frames(camera, clock, EMULATED_S if scene else REAL_S)
+        calls_before = len(calls)
+        frames = _next_frames(camera, clock, EMULATED_TIMEOUT_S if scene else REAL_TIMEOUT_S)
         now_ns = clock.now()
-        woken = len(calls) - before
+        woken = len(calls) - calls_before
         if len(frames) < 2:
             expect("frames: at least 2", f"{len(frames)} in {now_ns / SECOND:.0f} s")
             return
         _check_frames(frames, now_ns, len(setup.names))
         enough = woken >= len(frames) - 1
-        true("wake: is called after each frame", enough, f"{woken} of {len(frames)}")
+        expect_true("wake: is called after each frame", enough, f"{woken} of {len(frames)}")
         _check_health(camera, healthy=scene is not None)
         if scene is not None:
             _check_scene(camera, setup, scene, frames)
     if scene is not None:
         camera.frames()
-        clock.sleep_until(clock.now() + LEFT_NS)
-        true("__exit__: no frame comes afterwards", camera.frames() == [])
+        clock.sleep_until(clock.now() + SILENCE_NS)
+        expect_true("__exit__: no frame comes afterwards", camera.frames() == [])
         _check_leaving(camera, build())
 
 
 def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
-    """Return the next FRAMES frames, oldest first, or fewer if they do not arrive in time.
+    """Wait for the next FRAMES frames.
 
-    `patience_s` is the maximum time to wait [s].
+    Args:
+        camera: The camera.
+        clock: The clock.
+        patience_s: Maximum time to wait [s].
+
+    Returns:
+        The frames, oldest first. They are fewer if they do not arrive in time.
     """
     frames: list[CameraFrame] = []
 
@@ -163,13 +170,13 @@ def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> No
     """Check the order and the number of poses of frames that arrived by `now_ns`."""
     numbers = [frame.number for frame in frames]
     times = [frame.sampled_ns for frame in frames]
-    rise = numbers == sorted(set(numbers))
-    true("frames: numbers rise", rise, str(numbers))
-    true("frames: times rise", times == sorted(times), str(times))
+    is_rising = numbers == sorted(set(numbers))
+    expect_true("frames: numbers rise", is_rising, str(numbers))
+    expect_true("frames: times rise", times == sorted(times), str(times))
     in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
-    true("frames: are received after their exposure", in_order)
+    expect_true("frames: are received after their exposure", in_order)
     poses = [len(frame.poses) for frame in frames]
-    true("frames: have one pose per robot", np.equal(poses, robots), f"{poses}")
+    expect_true("frames: have one pose per robot", np.equal(poses, robots), f"{poses}")
 
 
 def _check_scene(
@@ -180,11 +187,11 @@ def _check_scene(
     No frame may have a fault or an unknown object. The robot that is hidden is the first one.
     """
     healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
-    true("frames: have no faults and no unknown objects", healthy)
-    true("damaged: 0", camera.damaged == 0, str(camera.damaged))
+    expect_true("frames: have no faults and no unknown objects", healthy)
+    expect_true("damaged: 0", camera.damaged == 0, str(camera.damaged))
     poses = [pose for pose in frames[-1].poses if pose is not None]
     true_poses = scene.poses()
-    true("poses: show every robot", len(poses) == len(setup.names))
+    expect_true("poses: show every robot", len(poses) == len(setup.names))
     if len(poses) < len(setup.names):
         return
     _check_poses(poses, true_poses, setup.metres)
@@ -197,27 +204,33 @@ def _check_scene(
             last = frame
         return last.poses[0] is None
 
-    true(
+    expect_true(
         "poses: are None for a robot that is out of sight",
-        wait_for(scene.clock, hidden, EMULATED_S),
+        wait_for(scene.clock, hidden, EMULATED_TIMEOUT_S),
     )
     others_go_on = [pose is not None for pose in last.poses[1:]]
-    true("poses: the other robots are still tracked", others_go_on)
+    expect_true("poses: the other robots are still tracked", others_go_on)
 
 
 def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> None:
-    """Compare robots' poses with the true poses (N, 3). `metres` is the length unit in metres."""
+    """Compare robots' poses with the true poses.
+
+    Args:
+        poses: The measured poses of N robots.
+        true_poses: The true poses, shape (N, 3).
+        metres: The length unit in metres.
+    """
     measured = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
     differences = measured - true_poses
     gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
     turned = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
-    near("poses: are in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)
-    near("poses: have the headings of the robots", turned, 0.0, 1.0, HEADING)
+    expect_near("poses: are in the spec's coordinates", gaps_m, 0.0, 1.0, POSITION_ERROR_M)
+    expect_near("poses: have the headings of the robots", turned, 0.0, 1.0, HEADING_ERROR_RAD)
     heights_m = [pose.height * metres for pose in poses if pose.height is not None]
     what = "poses: have the height of the body on the floor"
-    near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
+    expect_near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
     upright = [pose.tilt is None or 0.0 <= pose.tilt < TILT_MAX for pose in poses]
-    true("poses: have the tilt of a robot on the floor", upright)
+    expect_true("poses: have the tilt of a robot on the floor", upright)
 
 
 def check_actuator(
@@ -233,9 +246,9 @@ def check_actuator(
         setup: The constants of the experiment.
         robots: Emulated robots, which are steered and stopped in every way. None if there are none.
     """
-    wrong = "; ".join(_contradictions(section, setup))
-    expect("section: fits the spec's robots", wrong)
-    if wrong:
+    contradictions = "; ".join(_list_contradictions(section, setup))
+    expect("section: fits the spec's robots", contradictions)
+    if contradictions:
         return
     clock = robots.clock if robots else MonotonicClock()
 
@@ -245,7 +258,7 @@ def check_actuator(
         return resolve_name(section.device)(section, setup, clock, robots.ports)
 
     actuator = build()
-    _members("actuator", actuator, Actuator)
+    _check_members("actuator", actuator, Actuator)
     period_ns = actuator.period_ns
     halts = actuator.halts
     expect("period_ns: above 0", "" if period_ns > 0 else f"{period_ns}")
@@ -255,27 +268,27 @@ def check_actuator(
         _check_sending(section, setup)
         return
     with actuator as entered:
-        true("__enter__: returns the actuator", entered is actuator)
+        expect_true("__enter__: returns the actuator", entered is actuator)
         statuses = actuator.poll(1.0)
         problems = any(status.problems for status in statuses)
         all_well = len(statuses) == len(setup.names) and not problems
-        true("poll: returns a status of each robot, without problems", all_well)
+        expect_true("poll: returns a status of each robot, without problems", all_well)
         _check_health(actuator, healthy=True)
-        true("poll, check: move no robot", not any(robots.moves()))
+        expect_true("poll, check: move no robot", not any(robots.moves()))
         _SteeringChecks(actuator, section, setup, robots).check()
     _check_leaving(actuator, build())
 
 
-def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
+def _list_contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
     """List the fields of a section that do not fit the robots, each with the reason.
 
     The list is empty if all of them fit.
     """
-    texts: list[str] = []
-    for loc, text in section.contradictions(setup):
+    contradictions: list[str] = []
+    for loc, reason in section.contradictions(setup):
         field = ".".join(map(str, loc))
-        texts.append(f"{field} {text}".strip())
-    return texts
+        contradictions.append(f"{field} {reason}".strip())
+    return contradictions
 
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> None:
@@ -283,38 +296,38 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> None:
 
     Its port is a pseudo-terminal, or its robots have their own ports that accept everything.
     """
-    nobody = MovedRobots(MonotonicClock(), list, None)
+    no_robots = MovedRobots(MonotonicClock(), list, None)
     if isinstance(section, OwnSection):
-        with resolve_name(section.device)(section, setup, nobody.clock, _Nowhere) as actuator:
-            _SteeringChecks(actuator, section, setup, nobody).check_sent()
+        with resolve_name(section.device)(section, setup, no_robots.clock, _Nowhere) as actuator:
+            _SteeringChecks(actuator, section, setup, no_robots).check_sent()
         return
     if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
         expect("send: not checked, because the section has no field `port` for a serial port")
         return
     with ExitStack() as stack:
-        everywhere = _at_port(section.model_dump(), _pseudo_terminal(stack))
-        to_nowhere = type(section).model_validate(everywhere)
+        section_data = _with_port(section.model_dump(), _pseudo_terminal(stack))
+        section_to_nowhere = type(section).model_validate(section_data)
         try:
-            actuator = stack.enter_context(to_nowhere.build(setup, nobody.clock))
+            actuator = stack.enter_context(section_to_nowhere.build(setup, no_robots.clock))
         except AbortError as error:
             expect(
                 "send: not checked, because the actuator refuses a port without a device "
                 f"({error.message})"
             )
             return
-        _SteeringChecks(actuator, section, setup, nobody).check_sent()
+        _SteeringChecks(actuator, section, setup, no_robots).check_sent()
 
 
-def _at_port(data: Any, port: str) -> Any:
+def _with_port(data: Any, port: str) -> Any:
     """Replace each port in a section's data by this port, including the ports of single robots."""
     match data:
         case dict():
             return {
-                key: port if key == "port" and type(value) is str else _at_port(value, port)
+                key: port if key == "port" and type(value) is str else _with_port(value, port)
                 for key, value in data.items()
             }
         case list() | tuple():
-            return [_at_port(entry, port) for entry in data]
+            return [_with_port(entry, port) for entry in data]
         case _:
             return data
 
@@ -322,18 +335,19 @@ def _at_port(data: Any, port: str) -> Any:
 def _pseudo_terminal(stack: ExitStack) -> str:
     """Create a pseudo-terminal that accepts all bytes until the stack is closed.
 
-    Return its path.
+    Returns:
+        The path of the pseudo-terminal.
     """
     import tty  # not on Windows
 
     ours, theirs = os.openpty()
     tty.setraw(theirs)
-    Thread(target=_swallow, args=(ours,), daemon=True).start()
+    Thread(target=_drop_input, args=(ours,), daemon=True).start()
     stack.callback(os.close, theirs)
     return os.ttyname(theirs)
 
 
-def _swallow(port: int) -> None:
+def _drop_input(port: int) -> None:
     """Read from a pseudo-terminal, and drop the bytes, until its other end is closed.
 
     The port is closed afterwards.
@@ -365,12 +379,12 @@ class _SteeringChecks:
         robots: MovedRobots,
     ) -> None:
         checks_of: ChecksOf = resolve_name(section.checks)
-        self.together = checks_of(GuardRules.of(setup, LabLimits())).together
+        self.moves_all_together = checks_of(GuardRules.of(setup, LabLimits())).together
         self.actuator = actuator
         self.setup = setup
         self.robots = robots
         self.poses = [Pose(*map(float, row)) for row in setup.starts.array()]
-        self.all = (True,) * len(self.poses)
+        self.all_robots = (True,) * len(self.poses)
 
     def check(self) -> None:
         """Run all checks: steer, stop, turn, hold, stop in an emergency, and lose the device.
@@ -379,126 +393,145 @@ class _SteeringChecks:
         """
         actuator = self.actuator
         self.check_sent()
-        self._steer(DIRECTION, self.all)
-        moved = self._wait(lambda: all(self.robots.moves()))
-        true("steer: moves the robots", moved)
+        self._steer_robots(DIRECTION_RAD, self.all_robots)
+        moved = self._wait_for(lambda: all(self.robots.moves()))
+        expect_true("steer: moves the robots", moved)
         self._check_stop("stop", actuator.stop())
         self._check_turn()
-        if not self.together:
+        if not self.moves_all_together:
             self._check_held()
         self._check_stop("emergency stop", actuator.stop(emergency=True))
-        true("failure: None", actuator.failure is None)
+        expect_true("failure: None", actuator.failure is None)
         if self.robots.unplug is None:
             expect("failure: not checked, because nothing shows that the device is gone")
             return
         self.robots.unplug()
-        true("failure: reports a device that is gone", self._wait(self._failed))
-        _check_aborts("steer", lambda: self._steer(DIRECTION, self.all))
+        expect_true("failure: reports a device that is gone", self._wait_for(self._reports_failure))
+        _check_aborts("steer", lambda: self._steer_robots(DIRECTION_RAD, self.all_robots))
         _check_aborts("stop", actuator.stop)
 
     def check_sent(self) -> None:
         """Steer in several directions, check the record of the commands, and then stop."""
         speed = self.setup.speed
-        for direction in (0.0, 1.5, -2.5, DIRECTION):
-            sent = self._steer(direction, self.all)
+        for direction in (0.0, 1.5, -2.5, DIRECTION_RAD):
+            sent = self._steer_robots(direction, self.all_robots)
             self._check_turning("steer: turns the robots towards the direction", sent, direction)
         # of the last one
-        as_asked = sent.action == Steer(DIRECTION) and sent.delivered == self.all
-        true("steer: action, robots", as_asked)
+        as_asked = sent.action == Steer(DIRECTION_RAD) and sent.delivered == self.all
+        expect_true("steer: action, robots", as_asked)
         age_ns = self.robots.clock.now() - sent.sent_ns
-        true("steer: is sent at once", 0 <= age_ns <= SECOND)
-        near("steer: states the speeds of the spec", sent.speed, speed, speed, SPEED)
+        expect_true("steer: is sent at once", 0 <= age_ns <= SECOND)
+        expect_near("steer: states the speeds of the spec", sent.speed, speed, speed, SPEED_ERROR)
         wheels = [wheel for wheel in (sent.left, sent.right) if wheel is not None]
         of_each = all(wheel.shape == speed.shape for wheel in wheels)
         numbers = all(isinstance(value, float) for value in sent.outputs.values())
-        true(
+        expect_true(
             "steer: states wheels of shape (N,) or None, and outputs that are numbers",
             of_each and numbers,
         )
-        sent = self._steer(DIRECTION, (self.together, *self.all[1:]), first_tracked=False)
+        sent = self._steer_robots(
+            DIRECTION_RAD, (self.moves_all_together, *self.all_robots[1:]), first_tracked=False
+        )
         finite = np.isfinite([sent.speed, sent.turning]).all()
-        true("steer: works while a robot is not tracked", finite)
-        true("steer: then stop", self.actuator.stop().action == Stop())
+        expect_true("steer: works while a robot is not tracked", finite)
+        expect_true("steer: then stop", self.actuator.stop().action == Stop())
 
-    def _check_turning(self, what: str, sent: Transmission, towards: float) -> None:
+    def _check_turning(
+        self, expectation: str, transmission: Transmission, direction: float
+    ) -> None:
         """Compare turning rates [rad/s] towards a direction [rad] with the paper's equation (3)."""
         setup = self.setup
-        _, _, turning = rates(setup.starts.heading, towards, setup.a, setup.speed)
-        near(what, sent.turning, turning, float(setup.a.max()), TURNING)
+        _, _, turning = rates(setup.starts.heading, direction, setup.a, setup.speed)
+        expect_near(expectation, transmission.turning, turning, float(setup.a.max()), TURNING_ERROR)
 
-    def _check_stop(self, name: str, stop: Transmission) -> None:
+    def _check_stop(self, name: str, transmission: Transmission) -> None:
         """Check that a stop is reported as one, and that robots that can stand still do so."""
-        true(f"{name}: reports that it stops the robots", stop.action == Stop())
+        expect_true(f"{name}: reports that it stops the robots", transmission.action == Stop())
         if self.actuator.halts:
-            rests = not (stop.speed.any() or stop.turning.any())
-            true(f"{name}: robots stand still", rests and self._wait(self._resting))
+            is_stop = not (transmission.speed.any() or transmission.turning.any())
+            expect_true(
+                f"{name}: robots stand still", is_stop and self._wait_for(self._all_stand_still)
+            )
 
     def _check_turn(self) -> None:
         """Check that robots that can stand still turn on the spot, and that others cannot."""
         turn = Turn(1.5)
         try:
-            sent = self.actuator.send(turn, self.poses, self.all, self.robots.clock.now())
+            transmission = self.actuator.send(
+                turn, self.poses, self.all_robots, self.robots.clock.now()
+            )
         except AbortError as error:
-            unfounded = self.actuator.halts or "on the spot" not in error.message
-            problem = error.message if unfounded else ""
+            is_unexpected = self.actuator.halts or "on the spot" not in error.message
+            problem = error.message if is_unexpected else ""
             expect("turn: only for robots that can stand still", problem)
             return
-        as_asked = sent.action == turn and sent.delivered == self.all
-        true("turn: only for robots that can stand still", as_asked and self.actuator.halts)
-        fastest = np.abs(sent.speed).max()
-        true("turn: turns robots on the spot", fastest < SPEED * self.setup.speed.min())
-        self._check_turning("turn: turns robots towards the direction", sent, turn.facing)
+        is_as_asked = transmission.action == turn and transmission.delivered == self.all_robots
+        expect_true(
+            "turn: only for robots that can stand still", is_as_asked and self.actuator.halts
+        )
+        fastest = np.abs(transmission.speed).max()
+        expect_true(
+            "turn: turns robots on the spot", fastest < SPEED_ERROR * self.setup.speed.min()
+        )
+        self._check_turning("turn: turns robots towards the direction", transmission, turn.facing)
 
     def _check_held(self) -> None:
         """Check that the first robot can be held while the others move."""
         clock = self.robots.clock
         clock.sleep_until(clock.now() + self.actuator.period_ns)  # so that the turn has begun
         self.actuator.stop()
-        self._wait(self._resting)
-        sent = self._steer(DIRECTION, (False, *self.all[1:]))
-        held = not (sent.delivered[0] or sent.speed[0] or sent.turning[0])
-        others_move = self._wait(lambda: all(self.robots.moves()[1:]))
-        stands = others_move and not self.robots.moves()[0]
-        true("moving: holds one robot while the others move", held and stands)
+        self._wait_for(self._all_stand_still)
+        transmission = self._steer_robots(DIRECTION_RAD, (False, *self.all_robots[1:]))
+        is_held = not (
+            transmission.delivered[0] or transmission.speed[0] or transmission.turning[0]
+        )
+        others_move = self._wait_for(lambda: all(self.robots.moves()[1:]))
+        is_standing = others_move and not self.robots.moves()[0]
+        expect_true("moving: holds one robot while the others move", is_held and is_standing)
 
-    def _steer(
+    def _steer_robots(
         self, direction: float, moving: Sequence[bool], first_tracked: bool = True
     ) -> Transmission:
-        """Wait for one period, then steer, and return what was sent.
+        """Wait for one period, then steer.
 
-        The direction is in radians. `first_tracked` says whether the first robot has a
-        pose.
+        Args:
+            direction: Direction [rad].
+            moving: Whether each robot is to move.
+            first_tracked: Whether the first robot has a pose.
+
+        Returns:
+            What was sent.
         """
         clock = self.robots.clock
         clock.sleep_until(clock.now() + self.actuator.period_ns)
         poses = [self.poses[0] if first_tracked else None, *self.poses[1:]]
         return self.actuator.send(Steer(direction), poses, moving, clock.now())
 
-    def _wait(self, moving: Callable[[], bool]) -> bool:
+    def _wait_for(self, condition: Callable[[], bool]) -> bool:
         """Wait for a condition, and return whether it holds within EMULATED_S seconds."""
-        return wait_for(self.robots.clock, moving, EMULATED_S)
+        return wait_for(self.robots.clock, condition, EMULATED_TIMEOUT_S)
 
-    def _resting(self) -> bool:
+    def _all_stand_still(self) -> bool:
         """Whether all robots stand still."""
         return not any(self.robots.moves())
 
-    def _failed(self) -> bool:
-        """Return whether the device reports a failure. If it does not yet, send a command first."""
+    def _reports_failure(self) -> bool:
+        """Send a command, unless a failure is known, and check whether the device reports one."""
         if self.actuator.failure is None:
             with suppress(AbortError):
-                self._steer(DIRECTION, self.all)
+                self._steer_robots(DIRECTION_RAD, self.all_robots)
         return self.actuator.failure is not None
 
 
 def _check_aborts(name: str, call: Callable[[], object]) -> None:
     """Check that a call raises AbortError after the device is gone. Other errors are passed on."""
-    what = f"{name}: raises AbortError when the device is gone"
+    expectation = f"{name}: raises AbortError when the device is gone"
     problem = "none is raised"
     try:
         call()
     except AbortError:
         problem = ""
-    expect(what, problem)
+    expect(expectation, problem)
 
 
 def _check_health(device: Device, healthy: bool) -> None:
@@ -510,25 +543,27 @@ def _check_health(device: Device, healthy: bool) -> None:
     """
     reports: list[Health] = [device.check(), device.check()]
     facts = [fact for health in reports for fact in health.facts.values()]
-    true("check: returns facts that are strings", all(isinstance(fact, str) for fact in facts))
+    expect_true(
+        "check: returns facts that are strings", all(isinstance(fact, str) for fact in facts)
+    )
     if healthy:
         problems = [problem for health in reports for problem in health.problems]
         expect("check: no problems", "; ".join(problems))
 
 
-def _check_leaving(closed: Device, unopened: Device) -> None:
+def _check_leaving(closed_device: Device, unopened_device: Device) -> None:
     """Check that a device can be left twice, and that another can be left before it was entered."""
-    what = "__exit__: can be called again, and before __enter__"
+    expectation = "__exit__: can be called again, and before __enter__"
     problem = ""
     try:
-        for device in (closed, unopened, unopened):
+        for device in (closed_device, unopened_device, unopened_device):
             device.__exit__(None, None, None)
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
-    expect(what, problem)
+    expect(expectation, problem)
 
 
-def _members(what: str, device: Device, protocol: type) -> None:
+def _check_members(kind: str, device: Device, protocol: type) -> None:
     """Check that a device has all public members of a protocol, `__enter__` and `__exit__`.
 
     Only their names are compared.
@@ -537,4 +572,4 @@ def _members(what: str, device: Device, protocol: type) -> None:
     public = {name for name in members if not name.startswith("_")}
     needed = public | {"__enter__", "__exit__"}
     lacking = ", ".join(sorted(name for name in needed if not hasattr(device, name)))
-    expect(f"{what}: has all members", f"lacks {lacking}" if lacking else "")
+    expect(f"{kind}: has all members", f"lacks {lacking}" if lacking else "")

@@ -16,7 +16,7 @@ from tetractl.spec.disturbance import (
     DisturbanceSection,
     overriding,
 )
-from tetractl_testing.expect import SEED, expect, random_watched, same, true
+from tetractl_testing.expect import SEED, expect, expect_same, expect_true, random_watched
 
 FRAME_NS = SECOND // 60
 """Time between two frames [ns]."""
@@ -57,9 +57,9 @@ def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
     for method, of_method in calls.items():
         fits, unchanged, numbers = zip(*of_method, strict=True)
         *_, numbers_again = zip(*calls_again[method], strict=True)
-        true(f"{method}: {FITS[method]}", fits)
-        true(f"{method}: does not change its arguments", unchanged, "changed")
-        same(f"{method}: the same seed gives the same results", numbers, numbers_again)
+        expect_true(f"{method}: {FITS[method]}", fits)
+        expect_true(f"{method}: does not change its arguments", unchanged, "changed")
+        expect_same(f"{method}: the same seed gives the same results", numbers, numbers_again)
     expect("random numbers: come only from rng", " and ".join(used))
 
 

@@ -21,9 +21,9 @@ SEED = 20
 """Seed of the checks, so that findings repeat."""
 COUNT = 200
 """Number of random cases in a check."""
-NEAR = 1e-6
+TOLERANCE = 1e-6
 """Maximum relative error of two results that agree."""
-TINY = 1e-300
+SCALE_MIN = 1e-300
 """Minimum scale that a difference is divided by."""
 
 
@@ -44,11 +44,11 @@ _FINDINGS: ContextVar[list[Finding] | None] = ContextVar("findings", default=Non
 """Where a check lists what it expects; None if it raises what does not hold."""
 
 
-def expect(what: str, problem: str = "") -> None:
+def expect(expectation: str, problem: str = "") -> None:
     """Record or raise the result of an expectation.
 
     Args:
-        what: What is expected.
+        expectation: What is expected.
         problem: What is wrong. "" if the expectation holds.
 
     Raises:
@@ -56,9 +56,9 @@ def expect(what: str, problem: str = "") -> None:
     """
     findings = _FINDINGS.get()
     if findings is not None:
-        findings.append(Finding(what, problem))
+        findings.append(Finding(expectation, problem))
     elif problem:
-        raise AssertionError(f"{what}: {problem}")
+        raise AssertionError(f"{expectation}: {problem}")
 
 
 def findings_of(check: Callable[[], object]) -> list[Finding]:
@@ -82,11 +82,13 @@ def findings_of(check: Callable[[], object]) -> list[Finding]:
     return findings
 
 
-def near(what: str, ours: Any, theirs: Any, scale: Any, tolerance: float = NEAR) -> None:
+def expect_near(
+    expectation: str, ours: Any, theirs: Any, scale: Any, tolerance: float = TOLERANCE
+) -> None:
     """Expect that two results are nearly equal. The problem names the case that differs most.
 
     Args:
-        what: What is compared.
+        expectation: What is compared.
         ours: The result of the code under test.
         theirs: The expected result.
         scale: Scale of the difference.
@@ -94,40 +96,43 @@ def near(what: str, ours: Any, theirs: Any, scale: Any, tolerance: float = NEAR)
     """
     arrays = [np.asarray(value, float) for value in (ours, theirs, scale)]
     ours, theirs, scale = np.broadcast_arrays(*arrays)
-    off = np.abs(ours - theirs) / np.maximum(scale, TINY)
-    comparable_off = np.where(np.isfinite(off), off, np.inf)
-    worst = int(np.argmax(comparable_off))
+    errors = np.abs(ours - theirs) / np.maximum(scale, SCALE_MIN)
+    finite_errors = np.where(np.isfinite(errors), errors, np.inf)
+    worst_case = int(np.argmax(finite_errors))
     problem = ""
-    if comparable_off.ravel()[worst] > tolerance:
-        values = f"{ours.ravel()[worst]:.9g} and {theirs.ravel()[worst]:.9g}"
-        problem = f"{values} in case {worst} of {off.size}"
-    expect(what, problem)
+    if finite_errors.ravel()[worst_case] > tolerance:
+        values = f"{ours.ravel()[worst_case]:.9g} and {theirs.ravel()[worst_case]:.9g}"
+        problem = f"{values} in case {worst_case} of {errors.size}"
+    expect(expectation, problem)
 
 
-def true(what: str, good: Any, problem: str = "not so") -> None:
+def expect_true(expectation: str, holds: Any, problem: str = "not so") -> None:
     """Expect that all cases are good. The problem names the first that is not.
 
     Args:
-        what: What is checked.
-        good: Whether each case is good.
+        expectation: What is checked.
+        holds: Whether each case is good.
         problem: The problem of a case that is not.
     """
-    cases = np.asarray(good, bool).ravel()
-    bad = np.flatnonzero(~cases)
-    expect(what, f"{problem} in case {bad[0]} of {cases.size}" if bad.size else "")
+    holds_in_case = np.asarray(holds, bool).ravel()
+    failing = np.flatnonzero(~holds_in_case)
+    expect(
+        expectation,
+        f"{problem} in case {failing[0]} of {holds_in_case.size}" if failing.size else "",
+    )
 
 
-def same(what: str, ours: Any, theirs: Any) -> None:
+def expect_same(expectation: str, ours: Any, theirs: Any) -> None:
     """Expect that two sequences of arrays or numbers have the same bits.
 
     Args:
-        what: What is compared.
+        expectation: What is compared.
         ours: The result of the code under test.
         theirs: The expected result.
     """
     pairs = zip(ours, theirs, strict=True)
-    alike = all(np.array_equal(our, their, equal_nan=True) for our, their in pairs)
-    expect(what, "" if alike else "differs bit for bit")
+    is_equal = all(np.array_equal(our, their, equal_nan=True) for our, their in pairs)
+    expect(expectation, "" if is_equal else "differs bit for bit")
 
 
 @contextmanager
@@ -139,12 +144,12 @@ def random_watched() -> Iterator[list[str]]:
     random.seed()
     mtrand.set_bit_generator(np.random.MT19937())
     used = list[str]()
-    before = random.getstate()
-    before_of_numpy = _numpy_state()
+    state = random.getstate()
+    numpy_state = _numpy_state()
     yield used
-    if random.getstate() != before:
+    if random.getstate() != state:
         used.append("random")
-    if _numpy_state() != before_of_numpy:
+    if _numpy_state() != numpy_state:
         used.append("numpy.random")
 
 

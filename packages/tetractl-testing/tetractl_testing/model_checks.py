@@ -16,20 +16,28 @@ from tetractl.core.shape import meet, turn
 from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
 from tetractl.spec.experiment import ShapeSection
-from tetractl_testing.expect import COUNT, NEAR, SEED, expect, near, same, true
+from tetractl_testing.expect import (
+    COUNT,
+    SEED,
+    TOLERANCE,
+    expect,
+    expect_near,
+    expect_same,
+    expect_true,
+)
 
-STEP = 1e-6
+DIFFERENCE = 1e-6
 """Step of a central difference: of an angle [rad], or relative of a parameter."""
-SLOPE = 1e-4
+SLOPE_ERROR_MAX = 1e-4
 """Maximum relative error of a derivative against a central difference."""
 STEP_S = 0.2
 """Duration of a step [s]."""
-TURNED = 1.0
+TURNED_BY = 1.0
 """Angle by which headings and signals are turned together [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Cases:
+class RandomRobots:
     """COUNT random robots, each with a signal to follow.
 
     Attributes:
@@ -58,7 +66,7 @@ class Cases:
         """The values of PARAMETERS for each robot, shape (COUNT, 2)."""
         return np.column_stack([self.a, self.v])
 
-    def moved(self, motion: Motion, turned: float = 0.0, seconds: float = STEP_S) -> XYHeading:
+    def step(self, motion: Motion, turned: float = 0.0, seconds: float = STEP_S) -> XYHeading:
         """Return the poses after a step.
 
         Args:
@@ -74,113 +82,127 @@ class Cases:
         return np.hypot(poses[0] - self.x, poses[1] - self.y)
 
 
-def _random_cases() -> Cases:
+def _random_robots() -> RandomRobots:
     rng = np.random.default_rng(SEED)
     x, y = rng.uniform(-500, 500, (2, COUNT))
     heading, u = rng.uniform(-math.pi, math.pi, (2, COUNT))
     a = rng.uniform(0.5, 6, COUNT)
     v = rng.uniform(10, 300, COUNT)
-    return Cases(x, y, heading, u, a, v)
+    return RandomRobots(x, y, heading, u, a, v)
 
 
 def check_motion(motion: Motion) -> None:
     """Check the NumPy step, the `hold` of the simulation, the compiled step and its derivatives."""
-    cases = _random_cases()
-    moved = cases.moved(motion)
-    _check_step(motion, cases, moved)
-    _check_hold(motion, cases, moved)
-    _check_advance(motion.lanes, cases, moved)
-    _check_derivatives(motion, cases, moved)
+    robots = _random_robots()
+    stepped = robots.step(motion)
+    _check_step(motion, robots, stepped)
+    _check_hold(motion, robots, stepped)
+    _check_advance(motion.lanes, robots, stepped)
+    _check_derivatives(motion, robots, stepped)
 
 
-def _check_step(motion: Motion, cases: Cases, moved: XYHeading) -> None:
-    """Check the NumPy step, with which the robots have `moved`."""
-    true("step: finite", np.isfinite(moved), "a pose is not finite")
-    same("step: repeats exactly", moved, cases.moved(motion))
-    distance = cases.distance(moved)
-    in_reach = distance <= cases.reach * (1 + NEAR)
-    true(
+def _check_step(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> None:
+    """Check the NumPy step, with which the robots have `stepped`."""
+    expect_true("step: finite", np.isfinite(stepped), "a pose is not finite")
+    expect_same("step: repeats exactly", stepped, robots.step(motion))
+    distance = robots.distance(stepped)
+    in_reach = distance <= robots.reach * (1 + TOLERANCE)
+    expect_true(
         "step: moves a robot by at most v t",
         in_reach,
         "a robot moves further than its speed allows",
     )
-    in_no_time = cases.moved(motion, seconds=0.0)
-    near("step: leaves x and y unchanged if t = 0", cases.distance(in_no_time), 0.0, cases.reach)
-    turned = cases.moved(motion, turned=TURNED)
-    towards = np.arctan2(moved[1] - cases.y, moved[0] - cases.x) + TURNED
-    dx = distance * np.cos(towards)
-    near("step: the motion turns with heading and u", turned[0] - cases.x, dx, cases.reach)
+    in_no_time = robots.step(motion, seconds=0.0)
+    expect_near(
+        "step: leaves x and y unchanged if t = 0", robots.distance(in_no_time), 0.0, robots.reach
+    )
+    turned = robots.step(motion, turned=TURNED_BY)
+    turned_course = np.arctan2(stepped[1] - robots.y, stepped[0] - robots.x) + TURNED_BY
+    dx = distance * np.cos(turned_course)
+    expect_near("step: the motion turns with heading and u", turned[0] - robots.x, dx, robots.reach)
 
 
-def _check_hold(motion: Motion, cases: Cases, moved: XYHeading) -> None:
+def _check_hold(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> None:
     """Check that `hold` moves driven robots like the step, and no stationary robot."""
-    _, _, turning = rates(cases.heading, cases.u, cases.a, cases.v)
+    _, _, turning = rates(robots.heading, robots.u, robots.a, robots.v)
     seconds = np.full(COUNT, STEP_S)
-    driving = Held(cases.u, turning, cases.heading, np.ones(COUNT))
-    driven = motion.hold(cases.x, cases.y, cases.heading, driving, cases.a, cases.v, seconds)
-    near("hold: gives the same x as step", driven[0], moved[0], cases.reach)
-    near("hold: gives the same y as step", driven[1], moved[1], cases.reach)
-    standing = Held(cases.u, 0 * cases.u, cases.heading, np.zeros(COUNT))
-    stood = motion.hold(cases.x, cases.y, cases.heading, standing, cases.a, 0 * cases.v, seconds)
-    near("hold: does not move a stopped robot", cases.distance(stood), 0, cases.v)
+    driving = Held(robots.u, turning, robots.heading, np.ones(COUNT))
+    driven = motion.hold(robots.x, robots.y, robots.heading, driving, robots.a, robots.v, seconds)
+    expect_near("hold: gives the same x as step", driven[0], stepped[0], robots.reach)
+    expect_near("hold: gives the same y as step", driven[1], stepped[1], robots.reach)
+    standing = Held(robots.u, 0 * robots.u, robots.heading, np.zeros(COUNT))
+    held = motion.hold(
+        robots.x, robots.y, robots.heading, standing, robots.a, 0 * robots.v, seconds
+    )
+    expect_near("hold: does not move a stopped robot", robots.distance(held), 0, robots.v)
 
 
-def _check_advance(compiled: Any, cases: Cases, moved: XYHeading) -> None:
-    """Check that the compiled step gives the same poses as `moved`, those of the NumPy step."""
-    constants = compiled.of(cases.parameters, STEP_S)
+def _check_advance(compiled: Any, robots: RandomRobots, stepped: XYHeading) -> None:
+    """Check that the compiled step gives the same poses as `stepped`, those of the NumPy step."""
+    constants = compiled.of(robots.parameters, STEP_S)
     if constants.rows.shape != (COUNT, constants.size):
         expect("advance: rows", f"have the shape {constants.rows.shape} instead of (N, size)")
         return
-    states = [_advanced(constants, cases, i) for i in range(COUNT)]
+    states = [_compiled_step(constants, robots, i) for i in range(COUNT)]
     x, y, cos_heading, sin_heading = np.array(states, dtype=float).T
-    near("advance: gives the same x as step", x, moved[0], cases.reach)
-    near("advance: gives the same y as step", y, moved[1], cases.reach)
-    near("advance: gives the same cos(heading) as step", cos_heading, np.cos(moved[2]), 1.0)
-    near("advance: gives the same sin(heading) as step", sin_heading, np.sin(moved[2]), 1.0)
+    expect_near("advance: gives the same x as step", x, stepped[0], robots.reach)
+    expect_near("advance: gives the same y as step", y, stepped[1], robots.reach)
+    expect_near(
+        "advance: gives the same cos(heading) as step", cos_heading, np.cos(stepped[2]), 1.0
+    )
+    expect_near(
+        "advance: gives the same sin(heading) as step", sin_heading, np.sin(stepped[2]), 1.0
+    )
 
 
-def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float, float]:
+def _compiled_step(
+    constants: Any, robots: RandomRobots, i: int
+) -> tuple[float, float, float, float]:
     """Return x, y, cos and sin of a robot's heading after all pieces of the compiled step."""
-    cos_u = math.cos(cases.u[i])
-    sin_u = math.sin(cases.u[i])
-    heading = cases.heading[i]
-    state = (cases.x[i], cases.y[i], math.cos(heading), math.sin(heading))
+    cos_u = math.cos(robots.u[i])
+    sin_u = math.sin(robots.u[i])
+    heading = robots.heading[i]
+    state = (robots.x[i], robots.y[i], math.cos(heading), math.sin(heading))
     for _ in range(constants.pieces):
         state = constants.advance(*state, cos_u, sin_u, constants.rows[i])
     return state
 
 
-def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> None:
+def _check_derivatives(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> None:
     """Compare the compiled step and its derivatives with the NumPy step and its differences."""
-    step, *derivatives = _differentiated(motion.lanes, cases)
-    turned = wrap(moved[2] - cases.heading)
-    near("differentiate: gives the same dx as step", step[0], moved[0] - cases.x, cases.reach)
-    near("differentiate: gives the same dy as step", step[1], moved[1] - cases.y, cases.reach)
-    near("differentiate: gives the same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
+    step, *derivatives = _compiled_derivatives(motion.lanes, robots)
+    turns = wrap(stepped[2] - robots.heading)
+    expect_near(
+        "differentiate: gives the same dx as step", step[0], stepped[0] - robots.x, robots.reach
+    )
+    expect_near(
+        "differentiate: gives the same dy as step", step[1], stepped[1] - robots.y, robots.reach
+    )
+    expect_near("differentiate: gives the same dheading as step", wrap(step[2] - turns), 0.0, 1.0)
     variables = ("dheading", "du", *(f"d(ln {name})" for name in PARAMETERS))
     for k, derivative in enumerate(derivatives):
-        shift = STEP / 2 * np.eye(len(variables))[k]
-        above = _shifted(motion, cases, shift)
-        below = _shifted(motion, cases, -shift)
-        scales = {"dx": cases.reach, "dy": cases.reach, "heading'": 1.0}
+        shift = DIFFERENCE / 2 * np.eye(len(variables))[k]
+        raised = _step_of_shifted(motion, robots, shift)
+        lowered = _step_of_shifted(motion, robots, -shift)
+        scales = {"dx": robots.reach, "dy": robots.reach, "heading'": 1.0}
         for axis, (name, scale) in enumerate(scales.items()):
-            slope = (above[axis] - below[axis]) / STEP
-            what = f"differentiate: d({name})/{variables[k]}"
-            near(what, derivative[axis], slope, scale, SLOPE)
+            slope = (raised[axis] - lowered[axis]) / DIFFERENCE
+            check = f"differentiate: d({name})/{variables[k]}"
+            expect_near(check, derivative[axis], slope, scale, SLOPE_ERROR_MAX)
 
 
-def _differentiated(compiled: Any, cases: Cases) -> Floats:
+def _compiled_derivatives(compiled: Any, robots: RandomRobots) -> Floats:
     """Compute dx, dy, dheading of the compiled step and their derivatives, shape (4, 3, COUNT).
 
     The derivatives are with respect to the heading, u and each of PARAMETERS.
     """
-    parameters = cases.parameters
+    parameters = robots.parameters
     rows: list[Any] = []
     for i in range(COUNT):
-        cos_heading = np.cos(cases.heading[i])
-        sin_heading = np.sin(cases.heading[i])
-        cos_u = np.cos(cases.u[i])
-        sin_u = np.sin(cases.u[i])
+        cos_heading = np.cos(robots.heading[i])
+        sin_heading = np.sin(robots.heading[i])
+        cos_u = np.cos(robots.u[i])
+        sin_u = np.sin(robots.u[i])
         step, by_heading, by_u, by_parameters = compiled.differentiate(
             cos_heading, sin_heading, cos_u, sin_u, parameters[i], STEP_S
         )
@@ -188,16 +210,16 @@ def _differentiated(compiled: Any, cases: Cases) -> Floats:
     return np.array(rows).transpose(1, 2, 0)
 
 
-def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
+def _step_of_shifted(motion: Motion, robots: RandomRobots, shift: Floats) -> XYHeading:
     """Compute the step of cases with a shifted heading, u and each of PARAMETERS.
 
     The logarithms of the parameters are shifted.
     """
-    heading = cases.heading + shift[0]
-    u = cases.u + shift[1]
-    a = cases.a * math.exp(shift[2])
-    v = cases.v * math.exp(shift[3])
-    return motion.step(cases.x, cases.y, heading, u, a, v, STEP_S)
+    heading = robots.heading + shift[0]
+    u = robots.u + shift[1]
+    a = robots.a * math.exp(shift[2])
+    v = robots.v * math.exp(shift[3])
+    return motion.step(robots.x, robots.y, heading, u, a, v, STEP_S)
 
 
 def check_shape(section: ShapeSection, setup: Setup) -> None:
@@ -208,28 +230,30 @@ def check_shape(section: ShapeSection, setup: Setup) -> None:
     shape = section.shape()
     corners = shape.corners
     count = len(corners)
-    right = corners.shape == (count, 2) and count > 0 and bool(np.isfinite(corners).all())
-    true("corners: an array (K, 2) of finite numbers", right, "is something else")
-    true("radius: finite, at least 0", 0 <= shape.radius < np.inf, f"is {shape.radius}")
-    if not right:
+    is_array = corners.shape == (count, 2) and count > 0 and bool(np.isfinite(corners).all())
+    expect_true("corners: an array (K, 2) of finite numbers", is_array, "is something else")
+    expect_true("radius: finite, at least 0", 0 <= shape.radius < np.inf, f"is {shape.radius}")
+    if not is_array:
         return
-    true("corners: edges do not cross", ~_crossed(corners), "two edges cross or touch")
+    expect_true(
+        "corners: edges do not cross", ~_find_crossing_edges(corners), "two edges cross or touch"
+    )
     ends = np.roll(corners, -1, axis=0)
     onward = np.roll(ends, -1, axis=0)
     anticlockwise = turn(*corners.T, *ends.T, *onward.T) >= 0
     convex = anticlockwise | (shape.radius == 0)
-    true("corners: are convex if there is a radius", convex, "turns right")
+    expect_true("corners: are convex if there is a radius", convex, "turns right")
     outline = shape.outline()
-    clockwise = "the outline encloses no area, or runs clockwise"
+    message = "the outline encloses no area, or runs clockwise"
     after = np.roll(outline, -1, axis=0)
     twice_area = np.sum(outline[:, 0] * after[:, 1] - after[:, 0] * outline[:, 1])
-    true("outline: anticlockwise", twice_area > 0, clockwise)
-    size = float(np.ptp(outline, axis=0).max())
+    expect_true("outline: anticlockwise", twice_area > 0, message)
+    largest_extent = float(np.ptp(outline, axis=0).max())
     gap = shape.distance(*outline.T)
-    near("outline: has the corners at distance 0", gap, 0.0, size)
+    expect_near("outline: has the corners at distance 0", gap, 0.0, largest_extent)
 
 
-def _crossed(corners: Floats) -> Bools:
+def _find_crossing_edges(corners: Floats) -> Bools:
     """Check for each pair of edges between corners (K, 2) whether they cross.
 
     Edges that share a corner do not cross.
@@ -237,5 +261,5 @@ def _crossed(corners: Floats) -> Bools:
     count = len(corners)
     ends = np.roll(corners, -1, axis=0)
     i, j = np.triu_indices(count, 2)
-    apart = (j - i) % count < count - 1
-    return meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & apart
+    has_no_common_corner = (j - i) % count < count - 1
+    return meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & has_no_common_corner

@@ -13,38 +13,38 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import OnReceived, SerialPort
 from tetractl_toio.messages import SERVICE, TOGETHER_S, Characteristic, Unpacker, pack
 
-FIND_S = 10.0  # longest search for a cube
-CONNECT_S = 20.0  # longest time until it is connected and notifies
-NOTIFYING = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
+FIND_S = 10.0
+"""Maximum duration of the search for a cube [s]."""
+CONNECT_S = 20.0
+"""Maximum time until a cube is connected and sends notifications [s]."""
+NOTIFIED = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
+"""Characteristics whose notifications the port subscribes to."""
 
 
-def is_cube(wanted: str, name: str | None, address: str) -> bool:
+def is_cube(name_or_address: str, name: str | None, address: str) -> bool:
     """Check whether a Bluetooth advertisement belongs to the wanted cube.
 
     Args:
-        wanted: The cube's address, or its name such as `toio-M0p`, or only the last three letters
-            of its name.
+        name_or_address: The cube's address, or its name such as `toio-M0p`, or only the last three
+            letters of its name.
         name: Name in the advertisement. None if it has none.
         address: Address of the advertiser.
     """
-    letters = wanted.rpartition("-")[2]
+    last_letters = name_or_address.rpartition("-")[2]
     return (
-        wanted.casefold() == address.casefold()
-        or letters in (name or "").replace("(toio Core Cube)", "").strip().split("-")[1:]
+        name_or_address.casefold() == address.casefold()
+        or last_letters in (name or "").replace("(toio Core Cube)", "").strip().split("-")[1:]
     )
 
 
 class BluetoothPort(SerialPort):
     """The Bluetooth connection to one cube, with the interface of a serial port.
 
-    The arguments are those of `SerialPort`: `name` is the cube's name or address, and `baud` is
-    ignored.
-
     Args:
-        name: Name of the cube.
-        baud: Without meaning here.
-        device: What is connected, for messages.
-        clock: The clock for times.
+        name: Name or address of the cube.
+        baud: Ignored. Serial ports need it.
+        device: What the messages call the connected device.
+        clock: The clock of all times.
         on_received: Called with received bytes and their time [ns]; see `SerialPort`.
         hint: The hint of the errors raised.
     """
@@ -56,9 +56,9 @@ class BluetoothPort(SerialPort):
         self._ready = threading.Event()
         self._loop = asyncio.new_event_loop()
         self._client: Any = None
-        self._ended = asyncio.Event()
+        self._close_asked = asyncio.Event()
         self._unpacker = Unpacker()
-        self._together = b""
+        self._collected = b""
 
     def open(self, alone: bool = True) -> None:
         """Find the cube and connect to it, within CONNECT_S seconds. `alone` is ignored.
@@ -72,7 +72,7 @@ class BluetoothPort(SerialPort):
             raise AbortError(self.failure or f"the cube {self._device} does not answer", self._hint)
 
     def write(self, data: bytes) -> int:
-        """Send packed messages as writes or, if they have no data, as read requests.
+        """Send each of the packed messages: as a write or, if it has no data, as a read request.
 
         Returns:
             The time at which they were handed to the operating system [ns].
@@ -84,16 +84,16 @@ class BluetoothPort(SerialPort):
             raise AbortError(
                 self.failure or f"the cube {self._device} is not connected", self._hint
             )
-        for number, payload in self._unpacker.feed(data):
-            call = self._pass(Characteristic(number), payload)
-            asyncio.run_coroutine_threadsafe(call, self._loop)
+        for characteristic, payload in self._unpacker.feed(data):
+            sending = self._send(Characteristic(characteristic), payload)
+            asyncio.run_coroutine_threadsafe(sending, self._loop)
         return self._clock.now()
 
     def close(self) -> None:
         """Disconnect and stop the thread. This method can be called repeatedly and never raises."""
         self._closing.set()
         with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._ended.set)
+            self._loop.call_soon_threadsafe(self._close_asked.set)
         super().close()
 
     def _read(self) -> None:
@@ -105,7 +105,7 @@ class BluetoothPort(SerialPort):
     async def _serve(self) -> None:
         """Keep the connection until it is closed, and record why it failed. No error is raised."""
         try:
-            await self._connected()
+            await self._stay_connected()
         except ImportError:
             self._fail("needs bleak: pip install bleak")
         except FileNotFoundError:
@@ -117,7 +117,7 @@ class BluetoothPort(SerialPort):
         finally:
             self._ready.set()
 
-    async def _connected(self) -> None:
+    async def _stay_connected(self) -> None:
         """Find the cube, subscribe to its notifications, and wait until the port is closed.
 
         If the cube is not found within FIND_S seconds, this is recorded as the failure.
@@ -134,19 +134,18 @@ class BluetoothPort(SerialPort):
         if cube is None:
             self._fail(f"was not found within {FIND_S:g} s")
             return
-        async with BleakClient(cube, disconnected_callback=self._gone) as client:
-            for kind in NOTIFYING:
-                await client.start_notify(kind.uuid, lambda _, data, k=kind: self._take(k, data))
+        async with BleakClient(cube, disconnected_callback=self._report_disconnection) as client:
+            for kind in NOTIFIED:
+                await client.start_notify(kind.uuid, lambda _, data, k=kind: self._collect(k, data))
             self._client = client
             self._ready.set()
-            await self._ended.wait()
+            await self._close_asked.wait()
             self._client = None
 
-    async def _pass(self, kind: Characteristic, payload: bytes) -> None:
+    async def _send(self, kind: Characteristic, payload: bytes) -> None:
         """Send one message to the cube: a write, or a read if the payload is empty.
 
-        Nothing happens without a connection. An error is recorded as the connection's
-        loss.
+        Nothing happens without a connection. An error is recorded as a loss of the connection.
         """
         client = self._client
         if client is None:
@@ -156,31 +155,31 @@ class BluetoothPort(SerialPort):
                 with_answer = kind is Characteristic.CONFIGURATION
                 await client.write_gatt_char(kind.uuid, payload, response=with_answer)
             else:
-                self._take(kind, await client.read_gatt_char(kind.uuid))
+                self._collect(kind, await client.read_gatt_char(kind.uuid))
         except Exception as error:  # as above
-            self._lost(str(error) or type(error).__name__)
+            self._report_loss(str(error) or type(error).__name__)
 
-    def _take(self, kind: Characteristic, data: bytearray | bytes) -> None:
+    def _collect(self, kind: Characteristic, data: bytearray | bytes) -> None:
         """Collect a message, so that messages of one connection event are passed on together.
 
         If they were passed on one by one, an older reading would seem as new as the latest one.
         """
-        if not self._together:
-            self._loop.call_later(TOGETHER_S, self._pass_on, self._clock.now())
-        self._together += pack(kind, bytes(data))
+        if not self._collected:
+            self._loop.call_later(TOGETHER_S, self._deliver_collected, self._clock.now())
+        self._collected += pack(kind, bytes(data))
 
-    def _pass_on(self, at_ns: int) -> None:
+    def _deliver_collected(self, at_ns: int) -> None:
         """Pass on the collected messages with the time at which the first one arrived [ns]."""
-        together = self._together
-        self._together = b""
-        self._on_received(together, at_ns)
+        collected = self._collected
+        self._collected = b""
+        self._on_received(collected, at_ns)
 
-    def _gone(self, _: Any) -> None:
+    def _report_disconnection(self, _: Any) -> None:
         """Report a lost connection, unless the port is being closed."""
         if not self._closing.is_set():
-            self._lost("disconnected")
+            self._report_loss("disconnected")
 
-    def _lost(self, why: str) -> None:
+    def _report_loss(self, reason: str) -> None:
         """Record why the connection was lost, and notify the reader."""
-        self._fail(f"is gone: {why}")
+        self._fail(f"is gone: {reason}")
         self._on_received(b"", self._clock.now())

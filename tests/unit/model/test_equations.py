@@ -23,7 +23,7 @@ EQUATIONS = {
     "(14)-(17)": update.move.py_func,
     "(20)": stop,
     "(21)": wheels.body_velocity,
-    "(21)-(23)": wheel_equations.rolled,
+    "(21)-(23)": wheel_equations.arc_displacement,
     "(24)-(25)": wheel_equations.wheel_speeds,
 }
 MOTIONS = {"euler.py", "exact.py", "turn_rate.py"}

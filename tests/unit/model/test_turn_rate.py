@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tetractl.model.motion.exact import differentiate
-from tetractl.model.motion.turn_rate import by_turning, held, turning
+from tetractl.model.motion.turn_rate import turning, turning_with_hold, with_turning_derivatives
 
 ANGLES = st.floats(-3.1, 3.1)
 SIDES = st.floats(-0.4, 0.4)
@@ -25,7 +25,7 @@ def step(heading, u, a, side, saturation, t=T):
     cu = math.cos(u)
     su = math.sin(u)
     rate, slopes = turning(c, s, cu, su, (a, V, side, saturation), t)
-    return by_turning(differentiate(c, s, cu, su, (rate, V), t), slopes)
+    return with_turning_derivatives(differentiate(c, s, cu, su, (rate, V), t), slopes)
 
 
 def integrated(heading, u, a, side, saturation):
@@ -106,7 +106,7 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
     def change(_, phi_now):
         c = math.cos(phi_now[0])
         s = math.sin(phi_now[0])
-        rate, _ = held(a, (0.0, 0.0, 0.0), c, s, hold)
+        rate, _ = turning_with_hold(a, (0.0, 0.0, 0.0), c, s, hold)
         return [-rate * s]
 
     span = (0.0, float(steps_s.sum()))
@@ -121,10 +121,10 @@ def test_the_slope_of_a_kept_rate_is_its_derivative(phi):
     small = 1e-6
 
     def ln_rate(phi_there):
-        rate, _ = held(6.0, no_slopes, math.cos(phi_there), math.sin(phi_there), hold)
+        rate, _ = turning_with_hold(6.0, no_slopes, math.cos(phi_there), math.sin(phi_there), hold)
         return math.log(rate)
 
-    _, slopes = held(6.0, no_slopes, math.cos(phi), math.sin(phi), hold)
+    _, slopes = turning_with_hold(6.0, no_slopes, math.cos(phi), math.sin(phi), hold)
     expected = (ln_rate(phi + small) - ln_rate(phi - small)) / (2 * small)
     assert slopes[0] == pytest.approx(expected, abs=1e-6)
 

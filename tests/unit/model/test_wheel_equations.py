@@ -7,7 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from tetractl.model.motion.wheel_equations import SERIES_HALF_TURN_RAD, rolled, wheel_speeds
+from tetractl.model.motion.wheel_equations import (
+    SERIES_HALF_TURN_RAD,
+    arc_displacement,
+    wheel_speeds,
+)
 from tetractl.model.wheels import body_velocity
 
 angles = st.floats(-8, 8)
@@ -21,16 +25,16 @@ def test_an_arc_is_the_integral_of_its_heading(heading, turn, distance):
     def part(component):
         return quad(lambda share: distance * component(heading + share * turn), 0, 1)[0]
 
-    east, north = rolled(heading, turn, distance)
+    east, north = arc_displacement(heading, turn, distance)
     assert east == pytest.approx(part(math.cos), abs=1e-6)
     assert north == pytest.approx(part(math.sin), abs=1e-6)
 
 
 @given(angles, turns, numbers)
 def test_the_mirror_image_of_an_arc_turns_the_other_way(heading, turn, distance):
-    east, north = rolled(heading, turn, distance)
-    assert rolled(-heading, -turn, distance) == pytest.approx((east, -north), abs=1e-9)
-    back_east, back_north = rolled(heading + turn, -turn, -distance)
+    east, north = arc_displacement(heading, turn, distance)
+    assert arc_displacement(-heading, -turn, distance) == pytest.approx((east, -north), abs=1e-9)
+    back_east, back_north = arc_displacement(heading + turn, -turn, -distance)
     assert (back_east, back_north) == pytest.approx((-east, -north), abs=1e-9)
 
 

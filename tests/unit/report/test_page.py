@@ -18,11 +18,11 @@ from tetractl.report import page
 from tetractl.report.page import (
     errors_over_time,
     figures_of_trial,
-    lean,
     logs_to_carry,
     player,
     report,
     total_errors,
+    without_details,
 )
 
 
@@ -30,7 +30,7 @@ from tetractl.report.page import (
 def without_drawing(monkeypatch):
     """Stand for figures by their captions: drawing takes longer than everything else."""
     monkeypatch.setattr(
-        page, "_figure", lambda kind, logs, text: f"<figure>{kind}: {text}</figure>"
+        page, "_figure_html", lambda kind, logs, text: f"<figure>{kind}: {text}</figure>"
     )
     monkeypatch.setattr(page, "total_errors", lambda groups, numbers: "<svg></svg>")
 
@@ -133,7 +133,7 @@ def test_without_any_log_that_can_be_read_there_is_no_report(tmp_path, without_d
 def test_a_report_of_many_trials_leaves_out_plans_and_says_so(
     tmp_path, monkeypatch, without_drawing, many, complete
 ):
-    monkeypatch.setattr(page, "MANY", many)
+    monkeypatch.setattr(page, "COMPLETE_MAX", many)
     plans = []
     real = page.trial_data
 
@@ -144,13 +144,13 @@ def test_a_report_of_many_trials_leaves_out_plans_and_says_so(
     monkeypatch.setattr(page, "trial_data", data)
     html, _, _ = made([logs_in(tmp_path / "a", 3)])
     assert plans == [complete] * 3
-    assert (page.LEFT_OUT.format(3, 3) in html) != complete
+    assert (page.NOTE_OF_SELECTION.format(3, 3) in html) != complete
     assert ("the 3 trials on this page" in html) != complete
 
 
 @pytest.mark.parametrize(("many", "complete"), [(2, True), (1, False)])
 def test_a_player_of_many_trials_leaves_out_plans_too(tmp_path, monkeypatch, many, complete):
-    monkeypatch.setattr(page, "MANY", many)
+    monkeypatch.setattr(page, "COMPLETE_MAX", many)
     folder = logs_in(tmp_path / "a", 2)
     logs = [read_trial(path) for path in sorted(folder.iterdir())]
     plans = []
@@ -186,8 +186,8 @@ def test_what_does_not_count_takes_a_part_of_the_places_only():
         for t in trials
     ]
     carried = [int(path.stem) for path in logs_to_carry(group(aborted), 2)]
-    most = max(page.CARRIED_MIN, page.CARRIED // 2)
-    assert sum(number < 60 for number in carried) == most // page.NOT_COUNTED
+    most = max(page.CARRIED_MIN, page.CARRIED_MAX // 2)
+    assert sum(number < 60 for number in carried) == most // page.EXCLUDED_RATIO
     assert len(carried) == most
     assert {60, 99} <= set(carried)
 
@@ -210,7 +210,7 @@ def test_a_trial_without_steps_or_without_frames_has_no_figures(tmp_path, withou
     assert errors_over_time("a", [log]) == ""
     assert errors_over_time("a", [log, replace(log, mocap_ns=log.mocap_ns[:0])]) == ""
     assert "trials: a</figure>" in errors_over_time("a", [log, log])
-    assert len(lean(log).steps) == 1
+    assert len(without_details(log).steps) == 1
 
 
 def test_without_a_valid_trial_no_error_is_drawn():

@@ -15,7 +15,7 @@ from testkit.trials import in_lab, three_robots
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.report.page import errors_over_time, lean, logs_to_carry
+from tetractl.report.page import errors_over_time, logs_to_carry, without_details
 from tetractl.report.trial_data import packed, significant, trial_data
 from tetractl.statistics.describe import describe
 from tetractl.statistics.open_batch import Batch
@@ -42,7 +42,7 @@ def pictures(html):
 @pytest.mark.long
 @pytest.mark.slow  # draws
 def test_a_batch_is_drawn_as_plot_draws_it_though_little_of_it_is_kept(logs):
-    html = errors_over_time("one & two", [lean(log) for log in logs])
+    html = errors_over_time("one & two", [without_details(log) for log in logs])
     assert pictures(html) == [svg(draw("errors", logs))]
     assert html.count(": one &amp; two<") == 1
 

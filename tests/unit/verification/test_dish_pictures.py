@@ -41,7 +41,7 @@ def test_images_have_their_times_and_their_grey_levels_from_above():
     file = io.BytesIO()
     Image.fromarray(upper).save(file, "JPEG", quality=95)
     pictures = DishPictures(log_of([(5, file.getvalue()), (9, jpeg(level=200))]))
-    assert pictures.times == [5, 9]
+    assert pictures.times_ns == [5, 9]
     assert pictures.grey(0).shape == (20, 40)
     assert pictures.grey(0)[:8].min() > 240
     assert pictures.grey(0)[12:].max() < 15
@@ -60,16 +60,16 @@ def test_an_image_that_cannot_be_read_is_left_out():
     too_wide = jpeg(LOGGED_SIDE_MAX + 1, 1)
     good = jpeg(LOGGED_SIDE_MAX, 1)
     torn = [(1, b""), (2, jpeg()[:60]), (3, jpeg(kind="PNG")), (4, too_wide)]
-    assert DishPictures(log_of(torn)).times == []
-    assert DishPictures(log_of([*torn, (5, good)])).times == [5]
+    assert DishPictures(log_of(torn)).times_ns == []
+    assert DishPictures(log_of([*torn, (5, good)])).times_ns == [5]
 
 
 def test_a_log_without_a_microscope_has_no_images():
     log = log_of([(1, jpeg())])
     log.experiment.plant.microscope = None
     pictures = DishPictures(log)
-    assert pictures.times == []
-    assert pictures.at(9) is None
+    assert pictures.times_ns == []
+    assert pictures.index_at(9) is None
 
 
 @pytest.mark.parametrize(

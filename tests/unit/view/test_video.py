@@ -15,15 +15,15 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.setup import Bounds
 from tetractl.view.player import Recording
 from tetractl.view.video import (
-    HOLD_S,
+    LAST_IMAGE_S,
     SCENE_HEIGHT_IN,
     SCENE_WIDTH_IN,
     VideoFrames,
-    _empty_picture,
+    _choose_speed,
+    _create_figure,
     _ErrorCurve,
+    _Numbers,
     _Scene,
-    _speed,
-    _Words,
     check_file,
     write_video,
 )
@@ -57,7 +57,7 @@ def test_a_video_lasts_as_long_as_the_trial(tmp_path, log, ending):
     path = tmp_path / f"video.{ending}"
     assert write_video(log, path, lambda *done: said.append(done), WIDTH) == 1
     total = sum(milliseconds(path)) / 1000
-    assert total == pytest.approx(LASTS_S + HOLD_S, abs=0.1)
+    assert total == pytest.approx(LASTS_S + LAST_IMAGE_S, abs=0.1)
     with Image.open(path) as video:
         assert video.size[0] == WIDTH
         assert video.size[1] % 2 == 0
@@ -79,10 +79,10 @@ def test_each_picture_shows_its_instant(log):
 
 
 def test_a_long_trial_plays_faster(tmp_path, log, monkeypatch):
-    monkeypatch.setattr("tetractl.view.video.LONGEST_S", 0.6)
+    monkeypatch.setattr("tetractl.view.video.DURATION_MAX_S", 0.6)
     path = tmp_path / "video.gif"
     assert write_video(log, path, width=WIDTH) == 2
-    assert sum(milliseconds(path)) / 1000 == pytest.approx(LASTS_S / 2 + HOLD_S, abs=0.1)
+    assert sum(milliseconds(path)) / 1000 == pytest.approx(LASTS_S / 2 + LAST_IMAGE_S, abs=0.1)
 
 
 def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
@@ -115,7 +115,7 @@ def made_up(tmp_path_factory):
     [(0.0, 1), (60.0, 1), (60.1, 2), (120.0, 2), (121.0, 5), (300.0, 5), (301.0, 10), (601.0, 20)],
 )
 def test_a_video_lasts_a_minute_at_most(duration_s, speed):
-    assert _speed(duration_s) == speed
+    assert _choose_speed(duration_s) == speed
 
 
 @pytest.mark.parametrize("sides", [(1600, 1800), (1000, 100), (100, 1000), (7, 7)])
@@ -124,7 +124,7 @@ def test_a_picture_has_even_sides_and_the_arena_its_shape_without_overlapping_th
     sides, width
 ):
     arena = Bounds(0.0, 0.0, *map(float, sides))
-    figure, scene, curve, words = _empty_picture(arena, width)
+    figure, scene, curve, words = _create_figure(arena, width)
     pixels = np.array(figure.get_size_inches()) * figure.dpi
     assert pixels == pytest.approx(np.round(pixels))
     assert (np.round(pixels) % 2 == 0).all()
@@ -144,7 +144,7 @@ def test_a_picture_has_even_sides_and_the_arena_its_shape_without_overlapping_th
 
 
 def scene_of(log):
-    _, axes, _, _ = _empty_picture(log.start.setup.arena, WIDTH)
+    _, axes, _, _ = _create_figure(log.start.setup.arena, WIDTH)
     return _Scene(axes, log, ["red", "blue"])
 
 
@@ -190,7 +190,7 @@ def test_long_trails_are_thinned_to_some_hundred_points(made_up):
 
 
 def test_the_curve_is_coloured_up_to_the_instant(made_up):
-    _, _, axes, _ = _empty_picture(made_up.start.setup.arena, WIDTH)
+    _, _, axes, _ = _create_figure(made_up.start.setup.arena, WIDTH)
     recording = Recording(made_up)
     curve = _ErrorCurve(axes, recording)
     whole = axes.lines[0]
@@ -206,8 +206,8 @@ def test_the_curve_is_coloured_up_to_the_instant(made_up):
 
 
 def words_at(log, time_ns):
-    _, _, _, axes = _empty_picture(log.start.setup.arena, WIDTH)
-    words = _Words(axes, log.start.setup.names, ["red", "blue"])
+    _, _, _, axes = _create_figure(log.start.setup.arena, WIDTH)
+    words = _Numbers(axes, log.start.setup.names, ["red", "blue"])
     moment = Recording(log).at(time_ns)
     words.show(moment)
     return [line.get_text() for line in words.lines], words.arrow.get_data(), moment

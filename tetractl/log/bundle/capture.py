@@ -19,8 +19,10 @@ MAGICS = {
     bytes.fromhex("a1b23c4d"): ">",
 }
 """The first bytes of each kind of capture, with the order of bytes in its headers."""
-HEADER = 24
-RECORD = 16
+HEADER_SIZE = 24
+"""Size of the header of a capture [bytes]."""
+RECORD_HEADER_SIZE = 16
+"""Size of the header of each packet in a capture [bytes]."""
 ETHERNET = 1
 RAW_IP = 101
 COOKED = 113
@@ -63,86 +65,111 @@ def aliased_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
     Raises:
         UsageError: If the capture comes from a kind of network that is not known.
     """
-    order = MAGICS[data[:4]]
-    if len(data) < HEADER:
+    byte_order = MAGICS[data[:4]]
+    if len(data) < HEADER_SIZE:
         raise UsageError("the capture ends within its header")
-    link = struct.unpack_from(order + "I", data, 20)[0] & 0x0FFFFFFF
-    if link not in (ETHERNET, RAW_IP, COOKED, COOKED_2):
+    link_type = struct.unpack_from(byte_order + "I", data, 20)[0] & 0x0FFFFFFF
+    if link_type not in (ETHERNET, RAW_IP, COOKED, COOKED_2):
         raise UsageError(
-            f"a capture with link type {link} cannot be copied", "capture again with tcpdump -i any"
+            f"a capture with link type {link_type} cannot be copied",
+            "capture again with tcpdump -i any",
         )
-    copy = bytearray(data[:HEADER])
+    copy = bytearray(data[:HEADER_SIZE])
     packets = left_out = 0
-    at = HEADER
-    while at + RECORD <= len(data):
-        kept = struct.unpack_from(order + "I", data, at + 8)[0]
-        end = at + RECORD + kept
+    offset = HEADER_SIZE
+    while offset + RECORD_HEADER_SIZE <= len(data):
+        length = struct.unpack_from(byte_order + "I", data, offset + 8)[0]
+        end = offset + RECORD_HEADER_SIZE + length
         if end > len(data):
             left_out += 1
             break
-        packet = _aliased_packet(bytearray(data[at + RECORD : end]), link, aliases)
+        packet = _aliased_packet(
+            bytearray(data[offset + RECORD_HEADER_SIZE : end]), link_type, aliases
+        )
         if packet is None:
             left_out += 1
         else:
             packets += 1
-            copy += data[at : at + RECORD] + aliases.payload(bytes(packet))
-        at = end
+            copy += data[offset : offset + RECORD_HEADER_SIZE] + aliases.payload(bytes(packet))
+        offset = end
     return AliasedCapture(bytes(copy), packets, left_out)
 
 
-def _aliased_packet(packet: bytearray, link: int, aliases: Aliases) -> bytearray | None:
-    """Replace the addresses of a packet by aliases. None if the packet has to be left out."""
+def _aliased_packet(packet: bytearray, link_type: int, aliases: Aliases) -> bytearray | None:
+    """Replace the addresses of a packet by aliases.
+
+    Returns:
+        The packet, which is changed in place. None if it has to be left out.
+    """
     try:
-        at = _alias_link(packet, link, aliases)
-        if at is not None and _alias_ip(packet, at, aliases):
+        ip_offset = _alias_link(packet, link_type, aliases)
+        if ip_offset is not None and _alias_ip(packet, ip_offset, aliases):
             return packet
     except (struct.error, IndexError, ValueError):  # it is shorter than its headers say
         return None
     return None
 
 
-def _alias_link(packet: bytearray, link: int, aliases: Aliases) -> int | None:
-    """Replace the addresses of network cards, and return where the IP header begins.
+def _alias_link(packet: bytearray, link_type: int, aliases: Aliases) -> int | None:
+    """Replace the addresses of network cards in a packet by aliases.
 
-    None if the packet has no IP header.
+    Returns:
+        Where the IP header begins. None if the packet has none.
     """
-    if link == RAW_IP:
+    if link_type == RAW_IP:
         return 0
-    if link == ETHERNET:
-        for at in (0, 6):
-            packet[at : at + 6] = aliases.mac(bytes(packet[at : at + 6]))
-        at = 12
-        while _number(packet, at) == VLAN:
-            at += 4
-        return at + 2 if _number(packet, at) in (IPV4, IPV6) else None
-    protocol_at, address_at, end = (14, 6, 16) if link == COOKED else (0, 12, 20)
+    if link_type == ETHERNET:
+        for offset in (0, 6):
+            packet[offset : offset + 6] = aliases.mac(bytes(packet[offset : offset + 6]))
+        offset = 12
+        while _read_u16(packet, offset) == VLAN:
+            offset += 4
+        return offset + 2 if _read_u16(packet, offset) in (IPV4, IPV6) else None
+    protocol_at, address_at, end = (14, 6, 16) if link_type == COOKED else (0, 12, 20)
     packet[address_at : address_at + 6] = aliases.mac(bytes(packet[address_at : address_at + 6]))
-    return end if _number(packet, protocol_at) in (IPV4, IPV6) else None
+    return end if _read_u16(packet, protocol_at) in (IPV4, IPV6) else None
 
 
-def _alias_ip(packet: bytearray, at: int, aliases: Aliases) -> bool:
-    """Replace the IP addresses of a packet, and return whether the packet may remain.
+def _alias_ip(packet: bytearray, offset: int, aliases: Aliases) -> bool:
+    """Replace the IP addresses of a packet by aliases.
 
-    Only TCP and UDP packets remain, without those of services that look up names.
+    Args:
+        packet: The packet, which is changed in place.
+        offset: Where its IP header begins.
+        aliases: The aliases of addresses.
+
+    Returns:
+        Whether the packet may remain: only TCP and UDP packets do, and only if they do not belong
+        to a service that looks up names or assigns addresses.
     """
-    if packet[at] >> 4 == 4:
-        length, protocol, size, first = (packet[at] & 15) * 4, packet[at + 9], 4, at + 12
-        is_later_fragment = bool(_number(packet, at + 6) & 0x1FFF)
+    if packet[offset] >> 4 == 4:
+        header_size = (packet[offset] & 15) * 4
+        protocol = packet[offset + 9]
+        address_size = 4
+        source = offset + 12
+        is_later_fragment = bool(_read_u16(packet, offset + 6) & 0x1FFF)
     else:
-        length, protocol, size, first = 40, packet[at + 6], 16, at + 8
+        header_size = 40
+        protocol = packet[offset + 6]
+        address_size = 16
+        source = offset + 8
         is_later_fragment = False
     if protocol not in (TCP, UDP):
         return False
-    for begin in (first, first + size):
-        packet[begin : begin + size] = _aliased_ip(bytes(packet[begin : begin + size]), aliases)
-    if size == 4:
-        struct.pack_into(">H", packet, at + 10, 0)
-        struct.pack_into(">H", packet, at + 10, _checksum(packet[at : at + length]))
+    destination = source + address_size
+    for begin in (source, destination):
+        end = begin + address_size
+        packet[begin:end] = _aliased_ip(bytes(packet[begin:end]), aliases)
+    if address_size == 4:
+        struct.pack_into(">H", packet, offset + 10, 0)
+        checksum = _checksum(packet[offset : offset + header_size])
+        struct.pack_into(">H", packet, offset + 10, checksum)
     if is_later_fragment:
         return True
-    ports = struct.unpack_from(">2H", packet, at + length)
+    ports = struct.unpack_from(">2H", packet, offset + header_size)
     if protocol == UDP:
-        struct.pack_into(">H", packet, at + length + 6, 0)  # no checksum: it covers the addresses
+        # 0 means no checksum: the checksum of UDP covers the addresses, too
+        struct.pack_into(">H", packet, offset + header_size + 6, 0)
     return NAME_PORTS.isdisjoint(ports)
 
 
@@ -151,13 +178,13 @@ def _aliased_ip(address: bytes, aliases: Aliases) -> bytes:
     return ipaddress.ip_address(aliases.ip(str(ipaddress.ip_address(address)))).packed
 
 
-def _number(packet: bytearray, at: int) -> int:
+def _read_u16(packet: bytearray, at: int) -> int:
     return struct.unpack_from(">H", packet, at)[0]
 
 
 def _checksum(header: bytearray) -> int:
     """Compute the checksum of an IPv4 header (RFC 1071). The header's checksum field must be 0."""
-    total = sum(struct.unpack(f">{len(header) // 2}H", header))
-    while total >> 16:
-        total = (total & 0xFFFF) + (total >> 16)
-    return ~total & 0xFFFF
+    checksum = sum(struct.unpack(f">{len(header) // 2}H", header))
+    while checksum >> 16:
+        checksum = (checksum & 0xFFFF) + (checksum >> 16)
+    return ~checksum & 0xFFFF

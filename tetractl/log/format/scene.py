@@ -56,51 +56,65 @@ def stamp(unix_ns: int) -> Timestamp:
 def encode_note(note: Note, start_ns: int) -> Log:
     """Encode an operator message for the topic /log, cut to TEXT characters.
 
-    `start_ns` is the time at which the trial started [Unix ns].
+    Args:
+        note: The message.
+        start_ns: Time at which the trial started [Unix ns].
     """
-    unix = stamp(start_ns + note.t_ns)
-    text = printable(note.text, TEXT)
-    return Log(timestamp=unix, level=_LEVELS[note.level], message=text, name="tetractl")
+    timestamp = stamp(start_ns + note.t_ns)
+    message = printable(note.text, TEXT)
+    return Log(timestamp=timestamp, level=_LEVELS[note.level], message=message, name="tetractl")
 
 
 def decode_note(message: Log, start_ns: int) -> Note:
     """Decode a message of the topic /log, with its time since the trial's start.
 
-    `start_ns` is the time at which the trial started [Unix ns]. A level that tetractl does not
-    know becomes "info".
+    A level that tetractl does not know becomes "info".
+
+    Args:
+        message: The message.
+        start_ns: Time at which the trial started [Unix ns].
     """
     unix_ns = message.timestamp.seconds * SECOND + message.timestamp.nanos
     level = next((name for name, value in _LEVELS.items() if value == message.level), "info")
     return Note(unix_ns - start_ns, level, message.message)
 
 
-BODY_OF_ARENA = 0.03
+BODY_FRACTION = 0.03
 """Size of a robot without wheels in viewers, as a fraction of the arena's shorter side."""
 
 
 class Scene:
     """Creates the messages with which a log viewer draws one experiment.
 
-    Lengths are given in the experiment's unit. The numbers of transforms and plans are rounded by
-    `drawn`, unless `exact`. A lab's transforms are exact, because they are also a second copy of
-    its camera frames.
+    Lengths are given in the experiment's unit.
+
+    Args:
+        setup: The experiment's arena, robots, targets and obstacles.
+        exact: Whether transforms and plans keep all digits. Otherwise, `drawn` rounds them. A lab's
+            transforms are exact, because they are also a second copy of its camera frames.
     """
 
     def __init__(self, setup: Setup, exact: bool = False) -> None:
         self._setup = setup
-        self._rounded = np.asarray if exact else drawn
+        self._round = np.asarray if exact else drawn
         self._metres = setup.metres
-        self._colors = [_color(text) for text in robot_colors(setup.names, setup.colors)]
-        body = BODY_OF_ARENA * min(setup.arena.width, setup.arena.height)
+        self._colors = [_parse_color(text) for text in robot_colors(setup.names, setup.colors)]
+        body = BODY_FRACTION * min(setup.arena.width, setup.arena.height)
         if setup.wheel_radius:
             body = 2 * setup.wheel_radius
         self._body = body * self._metres
 
     def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[FrameTransforms]:
-        """Return the robots' coordinate frames, as transforms, for each part of camera frames.
+        """Convert camera frames to transforms, which place the coordinate frames of the robots.
 
-        They are ordered by robot. A robot has none for a frame in which it is untracked. The trial
-        began at `start_ns` [Unix ns].
+        A robot has no transform for a camera frame in which it is untracked.
+
+        Args:
+            parts: Consecutive series of camera frames.
+            start_ns: Time at which the trial began [Unix ns].
+
+        Returns:
+            One message for each of `parts`, whose transforms are ordered by robot.
         """
         frames = Frames.joined(parts)
         has_pose = frames.valid & np.isfinite(frames.poses).all(axis=2)
@@ -108,15 +122,15 @@ class Scene:
         robots, rows = np.nonzero(has_pose.T)
         x, y, heading = frames.poses[rows, robots].T
         half_turn = heading / 2
-        z = elementwise.sin(half_turn)
-        w = elementwise.cos(half_turn)
-        numbers = (x * self._metres, y * self._metres, z, w)
-        poses = self._rounded(np.transpose(numbers)).tolist()
+        sin_half_turn = elementwise.sin(half_turn)
+        cos_half_turn = elementwise.cos(half_turn)
+        numbers = (x * self._metres, y * self._metres, sin_half_turn, cos_half_turn)
+        poses = self._round(np.transpose(numbers)).tolist()
         part_of_row = [index for index, part in enumerate(parts) for _ in part.numbers]
         names = [frame_of(name) for name in self._setup.names]
         transforms = [FrameTransforms() for _ in parts]
-        of_poses = zip(robots.tolist(), rows.tolist(), poses, strict=True)
-        for robot, row, (x_m, y_m, sine, cosine) in of_poses:
+        tracked = zip(robots.tolist(), rows.tolist(), poses, strict=True)
+        for robot, row, (x_m, y_m, sine, cosine) in tracked:
             transforms[part_of_row[row]].transforms.add(
                 timestamp=times[row],
                 parent_frame_id=WORLD,
@@ -127,15 +141,17 @@ class Scene:
         return transforms
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Draw a line along each robot's predicted path, shape (length + 1, N, 3).
+        """Draw a line along each robot's predicted path, which is shown until the next plan.
 
-        It is shown until the next plan. `unix_ns` is the time of the message [Unix ns].
+        Args:
+            path: Predicted x, y and heading, shape (length + 1, N, 3).
+            unix_ns: Time of the message [Unix ns].
         """
         entities: list[SceneEntity] = []
-        places_m = self._rounded(path[..., :2] * self._metres).swapaxes(0, 1)
+        places_m = self._round(path[..., :2] * self._metres).swapaxes(0, 1)
         for name, color, xy_m in zip(self._setup.names, self._colors, places_m, strict=True):
-            line = self._line(xy_m, color)
-            entities.append(self._entity(f"plan/{name}", unix_ns, lines=[line]))
+            line = self._make_line(xy_m, color)
+            entities.append(self._make_entity(f"plan/{name}", unix_ns, lines=[line]))
         return SceneUpdate(entities=entities)
 
     def static(self, unix_ns: int) -> SceneUpdate:
@@ -150,8 +166,10 @@ class Scene:
             (arena.right, arena.top),
             (arena.left, arena.top),
         ]
-        border = self._line(np.array(corners) * self._metres, _color(GREY), LinePrimitive.LINE_LOOP)
-        entities = [self._entity("arena", unix_ns, lines=[border])]
+        border = self._make_line(
+            np.array(corners) * self._metres, _parse_color(GREY), LinePrimitive.LINE_LOOP
+        )
+        entities = [self._make_entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
             # an upright prism over its outline, as high as a robot
             corners, triangles = prism(obstacle.outline() * self._metres, self._body)
@@ -159,16 +177,16 @@ class Scene:
                 pose=Pose(orientation=_UPRIGHT),
                 points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
                 indices=triangles.ravel().tolist(),
-                color=_color(OBSTACLE),
+                color=_parse_color(OBSTACLE),
             )
-            entities.append(self._entity(f"obstacle/{i}", unix_ns, triangles=[block]))
+            entities.append(self._make_entity(f"obstacle/{i}", unix_ns, triangles=[block]))
         legs = self._setup.legs.swapaxes(0, 1)
         for name, color, points in zip(self._setup.names, self._colors, legs, strict=True):
-            entities.append(self._target(name, color, points[:-1], points[-1], unix_ns))
-            entities.append(self._robot(name, color, unix_ns))
+            entities.append(self._draw_target(name, color, points[:-1], points[-1], unix_ns))
+            entities.append(self._draw_robot(name, color, unix_ns))
         return SceneUpdate(entities=entities)
 
-    def _target(
+    def _draw_target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
         """Draw squares at a robot's target and way-points, and a ring if it has to stay there.
@@ -176,19 +194,25 @@ class Scene:
         The square around the target is as wide as a robot, those around way-points half as wide.
         The ring has the hold's radius.
         """
-        half = self._body / 2 / self._metres
-        outlines = [half * _SQUARE + target]
-        outlines += [half / 2 * _SQUARE + point for point in way_points]
+        half_width = self._body / 2 / self._metres
+        outlines = [half_width * _SQUARE + target]
+        outlines += [half_width / 2 * _SQUARE + point for point in way_points]
         if self._setup.hold is not None:
             outlines.append(self._setup.hold.radius * _RING + target)
-        lines = [self._line(xy * self._metres, color, LinePrimitive.LINE_LOOP) for xy in outlines]
-        return self._entity(f"target/{name}", unix_ns, lines=lines)
+        lines = [
+            self._make_line(xy * self._metres, color, LinePrimitive.LINE_LOOP) for xy in outlines
+        ]
+        return self._make_entity(f"target/{name}", unix_ns, lines=lines)
 
-    def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
+    def _draw_robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
         """Draw a robot's body as a wedge that points along its heading, with the name above it."""
-        half = self._body / 2
-        nose = [Point3(x=half), Point3(x=-half, y=half), Point3(x=-half, y=-half)]
-        wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=nose, color=color)
+        half_length = self._body / 2
+        corners = [
+            Point3(x=half_length),
+            Point3(x=-half_length, y=half_length),
+            Point3(x=-half_length, y=-half_length),
+        ]
+        wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=corners, color=color)
         label = TextPrimitive(
             pose=Pose(position=Vector3(z=self._body), orientation=_UPRIGHT),
             billboard=True,
@@ -197,17 +221,17 @@ class Scene:
             color=color,
             text=name,
         )
-        entity = self._entity(f"robot/{name}", unix_ns, triangles=[wedge], texts=[label])
+        entity = self._make_entity(f"robot/{name}", unix_ns, triangles=[wedge], texts=[label])
         entity.frame_id = frame_of(name)
         return entity
 
-    def _entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
+    def _make_entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
         """Create a drawing that stays until it is replaced, and moves with its coordinate frame."""
         return SceneEntity(
             timestamp=stamp(unix_ns), frame_id=WORLD, id=entity_id, frame_locked=True, **primitives
         )
 
-    def _line(
+    def _make_line(
         self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
     ) -> LinePrimitive:
         """Draw a line, 2 pixels wide, through the points xy (M, 2) [m] that are finite."""
@@ -223,27 +247,31 @@ class Scene:
         )
 
 
-def _color(text: str) -> Color:
-    r, g, b = (int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return Color(r=r, g=g, b=b, a=1.0)
+def _parse_color(hex_color: str) -> Color:
+    red, green, blue = (int(hex_color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return Color(r=red, g=green, b=blue, a=1.0)
 
 
 def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Compute the walls and the top of a prism over an outline (M, 2).
+    """Compute the walls and the top of a prism.
 
-    The result consists of corners (2 M, 3) and triangles (T, 3).
+    Args:
+        outline: The base, a simple anticlockwise polygon, shape (M, 2).
+        height: Height of the prism.
 
-    The outline is simple and anticlockwise; the triangles are anticlockwise seen from outside.
+    Returns:
+        The corners, shape (2 M, 3), and the triangles as indices of corners, shape (T, 3). Seen
+        from outside, the triangles are anticlockwise.
     """
     count = len(outline)
     bottom = np.hstack([outline, np.zeros((count, 1))])
     top = np.hstack([outline, np.full((count, 1), height)])
     corners = np.vstack([bottom, top])
-    corner = np.arange(count)
-    following = np.roll(corner, -1)
-    lower = np.column_stack([corner, following, following + count])
-    upper = np.column_stack([corner, following + count, corner + count])
-    walls = np.vstack([lower, upper])
+    indices = np.arange(count)
+    following = np.roll(indices, -1)
+    lower_triangles = np.column_stack([indices, following, following + count])
+    upper_triangles = np.column_stack([indices, following + count, indices + count])
+    walls = np.vstack([lower_triangles, upper_triangles])
     return corners, np.vstack([walls, triangulate(outline) + count])
 
 
@@ -252,7 +280,7 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
 
     An ear is a corner that turns left and whose triangle contains no other corner.
     """
-    corners = list(range(len(outline)))  # those not cut yet
+    corners = list(range(len(outline)))  # indices of the corners that are not cut off yet
     triangles = []
     while len(corners) > 3:
         before = corners[-1:] + corners[:-1]
@@ -260,22 +288,26 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
         at_corners = list(zip(before, corners, after, strict=True))
         ears = (triangle for triangle in at_corners if _is_ear(outline, corners, triangle))
         # rounding may leave no ear among nearly collinear corners: any corner may then be cut
-        cut = next(ears, at_corners[0])
-        triangles.append(cut)
-        corners.remove(cut[1])
+        ear = next(ears, at_corners[0])
+        triangles.append(ear)
+        corners.remove(ear[1])
     return np.array([*triangles, corners], dtype=np.int64)
 
 
 def _is_ear(outline: Floats, corners: list[int], triangle: tuple[int, int, int]) -> bool:
     a, b, c = outline[list(triangle)]
-    if _turn(a, b, c) <= 0:
+    if _twice_area(a, b, c) <= 0:
         return False
-    rest = outline[[corner for corner in corners if corner not in triangle]]
-    inside = (_turn(a, b, rest) >= 0) & (_turn(b, c, rest) >= 0) & (_turn(c, a, rest) >= 0)
-    return not inside.any()
+    other_corners = outline[[corner for corner in corners if corner not in triangle]]
+    is_inside = (
+        (_twice_area(a, b, other_corners) >= 0)
+        & (_twice_area(b, c, other_corners) >= 0)
+        & (_twice_area(c, a, other_corners) >= 0)
+    )
+    return not is_inside.any()
 
 
-def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
+def _twice_area(a: Floats, b: Floats, c: Floats) -> Floats:
     """Compute twice the signed area of triangles a, b, c (..., 2).
 
     It is positive if anticlockwise.

@@ -70,9 +70,13 @@ RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, dat
 
 
 def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each record in some bytes, and where its contents begin and end.
+    """Yield the opcode of each record, and where the contents of the record begin and end.
 
     The generator stops at a record that is cut off, or at zeros, which a power cut can leave.
+
+    Args:
+        data: Bytes that consist of records.
+        offset: Where the first record begins.
     """
     while offset + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, offset)
@@ -90,9 +94,12 @@ def peek(path: Path) -> RawLog | None:
     whole file: one of the data section and one of the index.
 
     Returns:
-        The contents. None for a damaged file. The errors are the same as for `scan`.
+        The contents. None for a damaged file, or for a file of another program.
+
+    Raises:
+        LogError: If the file exceeds the `limits`.
     """
-    return _Scan(path).summary()
+    return _Scan(path).read_summary()
 
 
 def scan(path: Path) -> RawLog:
@@ -103,7 +110,7 @@ def scan(path: Path) -> RawLog:
     Raises:
         LogError: If it is not an MCAP file, or exceeds the `limits`.
     """
-    return _Scan(path).whole()
+    return _Scan(path).read_whole()
 
 
 class _Scan:
@@ -112,8 +119,8 @@ class _Scan:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._data = read_file(path)
-        self._view = memoryview(self._data)
-        self._until_s = time.thread_time() + seconds_limit()
+        self._data_view = memoryview(self._data)
+        self._deadline_s = time.thread_time() + seconds_limit()
         self._kept_bytes = 0
         self._problems: list[str] = []
         self._is_sealed = False  # the data section has a checksum
@@ -124,7 +131,7 @@ class _Scan:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
 
-    def whole(self) -> RawLog:
+    def read_whole(self) -> RawLog:
         """Read the file record by record, and return what could be read, sorted.
 
         If the file is damaged, it is also searched for records.
@@ -132,56 +139,56 @@ class _Scan:
         Raises:
             LogError: If the file is not an MCAP file.
         """
-        begins = self._data.startswith(MAGIC)
-        if not begins:
+        has_magic = self._data.startswith(MAGIC)
+        if not has_magic:
             self._problems.append("the file does not begin as an MCAP file")
-        for opcode, begin, end in self._walk():
-            why = self._verify(opcode, begin, end)
-            if why and len(self._problems) < PROBLEMS_MAX:
+        for opcode, begin, end in self._read_records():
+            problem = self._verify(opcode, begin, end)
+            if problem and len(self._problems) < PROBLEMS_MAX:
                 offset = begin - _RECORD.size
-                self._problems.append(f"the record at byte {offset} is damaged: {why}")
+                self._problems.append(f"the record at byte {offset} is damaged: {problem}")
         expected = self._read_index()
         if self._problems:
-            self._search()
-        if not (begins or self._by_offset):
+            self._search_file()
+        if not (has_magic or self._by_offset):
             raise LogError(f"{self._path}: this is not an MCAP file")
-        raw = self._collected()
+        log = self._collect()
         if expected is None and self._problems:
-            raw.lost.append("the messages of every missing or damaged chunk")
-        elif expected is not None and expected != len(raw.entries):
-            raw.lost.append(f"{expected - len(raw.entries)} of {expected} messages")
-        return raw
+            log.lost.append("the messages of every missing or damaged chunk")
+        elif expected is not None and expected != len(log.entries):
+            log.lost.append(f"{expected - len(log.entries)} of {expected} messages")
+        return log
 
-    def summary(self) -> RawLog | None:
+    def read_summary(self) -> RawLog | None:
         """Read only the records that `peek` returns.
 
-        None for a damaged file, or for a file of another program.
+        The result is None for a damaged file, or for a file of another program.
         """
-        wanted: set[tuple[int, int, int]] = set()
-        chunk: tuple[int, int, int] | None = None  # the last one
-        for record in self._walk():
+        records_to_keep: set[tuple[int, int, int]] = set()
+        last_chunk: tuple[int, int, int] | None = None  # the last one
+        for record in self._read_records():
             opcode, begin, end = record
             if opcode == Opcode.CHUNK:
-                chunk = record
-            elif opcode == Opcode.MESSAGE_INDEX and chunk is not None:
+                last_chunk = record
+            elif opcode == Opcode.MESSAGE_INDEX and last_chunk is not None:
                 channel = self._data[begin:end][:2]  # its first field
                 if int.from_bytes(channel, "little") in _SUMMARY_NUMBERS:
-                    wanted.add(chunk)
+                    records_to_keep.add(last_chunk)
             elif opcode == Opcode.ATTACHMENT:
-                wanted.add(record)
+                records_to_keep.add(record)
             elif opcode == Opcode.MESSAGE:  # outside a chunk
                 return None
         self._read_index()
         if self._problems or not self._is_sealed:
             return None
-        if any(self._verify(*record) for record in sorted(wanted)):
+        if any(self._verify(*record) for record in sorted(records_to_keep)):
             return None
-        return self._collected()
+        return self._collect()
 
-    def _walk(self) -> Iterator[tuple[int, int, int]]:
+    def _read_records(self) -> Iterator[tuple[int, int, int]]:
         """Yield the opcode of each record of the data section, and where it begins and ends."""
-        cut = len(MAGIC)
-        for opcode, begin, end in records(self._data, cut):
+        record_offset = len(MAGIC)
+        for opcode, begin, end in records(self._data, record_offset):
             self._require_time()
             if opcode == Opcode.DATA_END:
                 if end - begin != _CHECKSUM.size:
@@ -189,18 +196,23 @@ class _Scan:
                     return
                 (stated,) = _CHECKSUM.unpack_from(self._data, begin)
                 self._is_sealed = stated != UNSTATED
-                if self._is_sealed and stated != zlib.crc32(self._view[: begin - _RECORD.size]):
+                if self._is_sealed and stated != zlib.crc32(
+                    self._data_view[: begin - _RECORD.size]
+                ):
                     self._problems.append("the checksum of the data section does not match")
                 return
             yield opcode, begin, end
-            cut = end
-        self._problems.append(f"the file breaks off in the record at byte {cut}")
+            record_offset = end
+        self._problems.append(f"the file breaks off in the record at byte {record_offset}")
 
     def _read_index(self) -> int | None:
-        """Return the number of messages according to the index at the end of the file.
+        """Read the number of messages from the index at the end of the file.
 
-        None if the index is damaged or missing. For a damaged file, the channels in the index are
-        read, because the chunk with the record of a channel may be lost.
+        If the file is damaged, the channels in the index are read, too, because the chunk with the
+        record of a channel may be lost.
+
+        Returns:
+            The number. None if the index is damaged or missing.
         """
         footer = len(self._data) - len(MAGIC) - _FOOTER.size
         head = self._data[max(0, footer - _RECORD.size) : max(0, footer)]
@@ -210,7 +222,7 @@ class _Scan:
         index, _, _ = _FOOTER.unpack_from(self._data, footer)
         if index == 0 and self._is_foreign:
             return None
-        if index > footer or not self._matches(index, footer + _FOOTER.size - _CHECKSUM.size):
+        if index > footer or not self._has_checksum(index, footer + _FOOTER.size - _CHECKSUM.size):
             self._problems.append("the index at the end of the file is damaged")
             return None
         expected = None
@@ -221,13 +233,13 @@ class _Scan:
                 if opcode == Opcode.STATISTICS:
                     expected = Statistics.read(ReadDataStream(BytesIO(contents))).message_count
                 elif self._problems:
-                    self._know(opcode, contents)
+                    self._keep_description(opcode, contents)
         return expected
 
-    def _search(self) -> None:
-        """Find more chunks and attachments anywhere in the file.
+    def _search_file(self) -> None:
+        """Search all bytes of the file for chunks and attachments that were not found yet.
 
-        Most bytes that look like the beginning of one are not.
+        Most bytes that look like the beginning of a chunk or an attachment are something else.
         """
         kinds = (
             (Opcode.CHUNK, _ZSTD, -_CHUNK_TIMES_AND_SIZE.size),
@@ -241,13 +253,20 @@ class _Scan:
                     self._verify(opcode, begin)
 
     def _verify(self, opcode: int, begin: int, end: int | None = None) -> str:
-        """Decode and keep a record, and return the reason if that fails, otherwise "".
+        """Decode and keep a record.
 
-        Without `end`, the end of a chunk or attachment follows from the lengths of its parts.
+        Args:
+            opcode: Opcode of the record.
+            begin: Where the record's contents begin in the file.
+            end: Where they end. By default, the end of a chunk or attachment is computed from the
+                lengths of its parts.
+
+        Returns:
+            Why the record cannot be decoded, or "" if it was kept.
         """
         try:
             if end is None:
-                end = self._end(opcode, begin)
+                end = self._find_end(opcode, begin)
             self._keep(opcode, begin, self._data[begin:end])
         except LogError:
             raise
@@ -256,27 +275,31 @@ class _Scan:
             return message.splitlines()[0] if message else type(error).__name__
         return ""
 
-    def _end(self, opcode: int, begin: int) -> int:
+    def _find_end(self, opcode: int, begin: int) -> int:
         """Return where a compressed chunk or an attachment ends in the file."""
         if opcode == Opcode.CHUNK:
             *_, packed = _CHUNK.unpack_from(self._data, begin)
             return begin + _CHUNK.size + packed
         end = begin + _TIMES.size
-        for part in (_LENGTH, _LENGTH, _LONG_LENGTH):  # of the name, the media type and the data
-            (length,) = part.unpack_from(self._data, end)
-            end += part.size + length
+        for length_field in (
+            _LENGTH,
+            _LENGTH,
+            _LONG_LENGTH,
+        ):  # of the name, the media type and the data
+            (length,) = length_field.unpack_from(self._data, end)
+            end += length_field.size + length
         return end + _CHECKSUM.size
 
     def _keep(self, opcode: int, begin: int, contents: bytes) -> None:
         stream = ReadDataStream(BytesIO(contents))
         if opcode == Opcode.CHUNK:
-            data = unpack(Chunk.read(stream), self._is_foreign)
-            self._by_offset[begin] = self._inside(data)
+            chunk_data = unpack(Chunk.read(stream), self._is_foreign)
+            self._by_offset[begin] = self._unpack_messages(chunk_data)
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
-            if not self._matches(begin, begin + stream.count - _CHECKSUM.size):
+            if not self._has_checksum(begin, begin + stream.count - _CHECKSUM.size):
                 raise ValueError("the attachment's checksum does not match")
-            self._spend(stream.count)
+            self._count_kept_bytes(stream.count)
             self._by_offset[begin] = attachment
         elif opcode == Opcode.HEADER:
             self._library = printable(Header.read(stream).library, 200)
@@ -284,28 +307,28 @@ class _Scan:
         elif opcode == Opcode.MESSAGE:
             self._has_loose_messages = True
 
-    def _inside(self, data: bytes) -> list[RawMessage]:
+    def _unpack_messages(self, data: bytes) -> list[RawMessage]:
         """Return the messages in an unpacked chunk, and keep its schemas and channels.
 
         MCAP's `breakup_chunk` would take more than twice the time for each message.
         """
         messages: list[RawMessage] = []
-        count = 0
+        record_count = 0
         end = 0
         for opcode, begin, end in records(data):
-            count += 1
+            record_count += 1
             if opcode == Opcode.MESSAGE:
                 channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
                 message = data[begin + _MESSAGE.size : end]
                 messages.append((channel, log_ns, publish_ns, message))
             else:
-                self._know(opcode, data[begin:end])
+                self._keep_description(opcode, data[begin:end])
         if end < len(data):
             raise ValueError("the chunk contains an invalid record")
-        self._spend(len(data) + 256 * count)  # even an empty message takes memory
+        self._count_kept_bytes(len(data) + 256 * record_count)  # even an empty message takes memory
         return messages
 
-    def _know(self, opcode: int, contents: bytes) -> None:
+    def _keep_description(self, opcode: int, contents: bytes) -> None:
         """Keep the description of a channel or a schema, which later messages need."""
         if opcode == Opcode.CHANNEL:
             channel = Channel.read(ReadDataStream(BytesIO(contents)))
@@ -314,7 +337,7 @@ class _Scan:
             schema = Schema.read(ReadDataStream(BytesIO(contents)))
             self._schemas[schema.id] = schema
 
-    def _collected(self) -> RawLog:
+    def _collect(self) -> RawLog:
         """Return the records found, in file order.
 
         The topic of each channel comes from the channel's record. If that record is lost, the topic
@@ -349,20 +372,20 @@ class _Scan:
             has_loose_messages=self._has_loose_messages,
         )
 
-    def _matches(self, begin: int, end: int) -> bool:
-        """Check whether the checksum at `end` is that of the bytes from `begin` to `end`.
+    def _has_checksum(self, begin: int, end: int) -> bool:
+        """Check whether the checksum at `end` matches the bytes from `begin` to `end`.
 
-        A file of another program may leave it out.
+        A file of another program may leave out its checksums.
         """
         (stated,) = _CHECKSUM.unpack_from(self._data, end)
         is_left_out = self._is_foreign and stated == UNSTATED
-        return is_left_out or stated == zlib.crc32(self._view[begin:end])
+        return is_left_out or stated == zlib.crc32(self._data_view[begin:end])
 
     def _require_time(self) -> None:
-        if time.thread_time() > self._until_s:
+        if time.thread_time() > self._deadline_s:
             raise too_much(self._path, "very many records, or very many damaged ones")
 
-    def _spend(self, size: int) -> None:
+    def _count_kept_bytes(self, size: int) -> None:
         self._kept_bytes += size
         if self._kept_bytes > file_limit():
             raise too_much(self._path, "very many bytes or messages in its chunks")

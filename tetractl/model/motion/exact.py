@@ -58,15 +58,21 @@ def step(
     Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
     """
     half = (u - heading) / 2
-    c = elementwise.cos(half)
-    s = elementwise.sin(half)
-    decay = elementwise.exp(-a * t)
-    share = -elementwise.expm1(-a * t)
-    turned = 2 * elementwise.atan2(share * s * c, c * c + s * s * decay)  # phi - phi'
-    fall = s * s * elementwise.expm1(-2 * a * t)  # h - 1
+    cos_half = elementwise.cos(half)
+    sin_half = elementwise.sin(half)
+    remaining = elementwise.exp(-a * t)
+    decayed = -elementwise.expm1(-a * t)
+    turned = 2 * elementwise.atan2(
+        decayed * sin_half * cos_half, cos_half * cos_half + sin_half * sin_half * remaining
+    )  # phi - phi'
+    h_less_1 = sin_half * sin_half * elementwise.expm1(-2 * a * t)  # h - 1
     # ln h by log1p near h = 1, by log near h = 0
-    by_log1p = elementwise.log1p(np.maximum(fall, -0.5))
-    log_h = np.where(fall > -0.5, by_log1p, elementwise.log(c * c + np.square(s * decay)))
+    by_log1p = elementwise.log1p(np.maximum(h_less_1, -0.5))
+    log_h = np.where(
+        h_less_1 > -0.5,
+        by_log1p,
+        elementwise.log(cos_half * cos_half + np.square(sin_half * remaining)),
+    )
     along = v * (t + log_h / a)
     right = v * turned / a
     cos_u = elementwise.cos(u)
@@ -108,35 +114,35 @@ def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float
     inverses.
     """
     a, v = robot[:2]
-    e = decay(a * t)
+    decayed = decay(a * t)
     cos_phi = cu * c + su * s
     sin_phi = su * c - cu * s
     near = 1 + cos_phi if cos_phi > 0.0 else sin_phi * sin_phi / (1 - cos_phi)
-    far = (1 - cos_phi) * e
-    d = near + far * e
-    across = near + far
-    m, exponent = mantissa(0.5 * d)
-    m1 = m + 1
-    inverse = 1 / (d * m1 * across)
-    log_h = log_from_ratio((m - 1) * (inverse * d * across), exponent)
-    turn = 2 * arctan(sin_phi * (1 - e) * (inverse * d * m1))
+    far = (1 - cos_phi) * decayed
+    two_h = near + far * decayed
+    turn_denominator = near + far
+    mantissa_h, exponent = mantissa(0.5 * two_h)
+    mantissa_1 = mantissa_h + 1
+    inverse = 1 / (two_h * mantissa_1 * turn_denominator)
+    log_h = log_from_ratio((mantissa_h - 1) * (inverse * two_h * turn_denominator), exponent)
+    turn = 2 * arctan(sin_phi * (1 - decayed) * (inverse * two_h * mantissa_1))
     radius = v / a
-    over_d = inverse * m1 * across
+    over_d = inverse * mantissa_1 * turn_denominator
     along = v * t + radius * log_h
     right = radius * turn
     east = along * cu + right * su
     north = along * su - right * cu
     # by phi: the heading keeps this share of a change of it
-    keep = 2 * e * over_d
-    along_phi = -radius * sin_phi * (1 - e * e) * over_d
-    right_phi = radius * (1 - keep)
+    heading_kept = 2 * decayed * over_d
+    along_phi = -radius * sin_phi * (1 - decayed * decayed) * over_d
+    right_phi = radius * (1 - heading_kept)
     east_phi = along_phi * cu + right_phi * su
     north_phi = along_phi * su - right_phi * cu
-    by_heading = (-east_phi, -north_phi, keep)
-    by_u = (east_phi - north, north_phi + east, 1 - keep)
+    by_heading = (-east_phi, -north_phi, heading_kept)
+    by_u = (east_phi - north, north_phi + east, 1 - heading_kept)
     # by ln a: v t times the velocity's direction after the step, less the step
-    cos_after = (near - far * e) * over_d
-    sin_after = sin_phi * keep
+    cos_after = (near - far * decayed) * over_d
+    sin_after = sin_phi * heading_kept
     east_a = v * t * (cos_after * cu + sin_after * su) - east
     north_a = v * t * (cos_after * su - sin_after * cu) - north
     by_a = (east_a, north_a, a * t * sin_after)
@@ -223,22 +229,24 @@ class ExactLanes(NamedTuple):
         end = k[2]  # tanh(a t/2)
         end_rest = k[3]
         cos_phi = c * cu + s * su
-        f = middle_rest / (2.0 - middle_rest + 2.0 * middle * cos_phi)
+        heading_weight = middle_rest / (2.0 - middle_rest + 2.0 * middle * cos_phi)
         wx = end * cu
         wy = end * su
         gx = c + wx
         gy = s + wy
-        g = end_rest / (gx * gx + gy * gy)
-        p = f * middle + middle  # M = f H + p U
-        m = f * cos_phi + p  # M.U
-        q = m * m
+        end_scale = end_rest / (gx * gx + gy * gy)
+        direction_weight = heading_weight * middle + middle  # M = f H + p U
+        cos_middle = heading_weight * cos_phi + direction_weight  # M.U
+        cos2_middle = cos_middle * cos_middle
         first_b = (len(k) + 5) // 2
-        a = alternating(k, 4, first_b, q)
-        along_u = a * p - m * alternating(k, first_b, len(k), q)
-        along_heading = a * f
+        poly_a = alternating(k, 4, first_b, cos2_middle)
+        along_u = poly_a * direction_weight - cos_middle * alternating(
+            k, first_b, len(k), cos2_middle
+        )
+        along_heading = poly_a * heading_weight
         x_after = x + (along_heading * c + along_u * cu)
         y_after = y + (along_heading * s + along_u * su)
-        return x_after, y_after, g * gx + wx, g * gy + wy
+        return x_after, y_after, end_scale * gx + wx, end_scale * gy + wy
 
     differentiate = staticmethod(differentiate)
 

@@ -73,9 +73,12 @@ SINH = (
     2.2357657468102138e-08,
 )
 """Coefficients of sinh(t)/t as a polynomial of q = t^2, for |t| up to ln(2)/2."""
-SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers
-ROOT_HALF_BITS = 0x3FE6A09E667F3BCD  # the bits of the float sqrt(1/2)
-DECAY_MAX = 230.0  # beyond, exp(-x) counts as exp(-230), which is 1e-100
+SHIFT = 1.5 * 2.0**52
+"""A float near which the bits of a float are those of an integer, apart from an offset."""
+ROOT_HALF_BITS = 0x3FE6A09E667F3BCD
+"""The bits of the float sqrt(1/2)."""
+DECAY_MAX = 230.0
+"""Maximum argument x of exp(-x). For a larger x, `decay` returns exp(-230), about 1e-100."""
 
 
 def horner(coefficients, q):
@@ -98,20 +101,20 @@ def alternating(k, first, end, q):
         q: The argument.
     """
     q2 = q * q
-    odd = k[end - 1]
-    even = k[end - 2]
+    odd_sum = k[end - 1]
+    even_sum = k[end - 2]
     for i in range(end - 3, first - 1, -1):
-        lower = odd * q2 + k[i]
-        odd = even
-        even = lower
-    return odd * q + even
+        lower = odd_sum * q2 + k[i]
+        odd_sum = even_sum
+        even_sum = lower
+    return odd_sum * q + even_sum
 
 
 def sincos(x):
     """Compute (sin x, cos x) for |x| <= pi by halving the angle twice."""
-    t = 0.25 * x
-    q = t * t
-    s_quarter = t * horner(SINE, q)
+    quarter = 0.25 * x
+    q = quarter * quarter
+    s_quarter = quarter * horner(SINE, q)
     c_quarter = horner(COSINE, q)
     s_half = 2.0 * s_quarter * c_quarter
     c_half = 1.0 - 2.0 * s_quarter * s_quarter
@@ -137,15 +140,15 @@ def onwards(x, y, c, s, step):
         x, y, and the cosine and sine of the heading.
     """
     dx, dy, turn = step
-    sw, cw = sincos(wrap(turn))
-    return x + dx, y + dy, c * cw - s * sw, s * cw + c * sw
+    sin_turn, cos_turn = sincos(wrap(turn))
+    return x + dx, y + dy, c * cos_turn - s * sin_turn, s * cos_turn + c * sin_turn
 
 
 def mantissa(y):
     """Split a finite y > 0 into (m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2)."""
     bits = np.float64(y).view(np.int64)
-    k = (bits - np.int64(ROOT_HALF_BITS)) >> 52
-    return np.int64(bits - (k << 52)).view(np.float64), np.float64(k)
+    exponent = (bits - np.int64(ROOT_HALF_BITS)) >> 52
+    return np.int64(bits - (exponent << 52)).view(np.float64), np.float64(exponent)
 
 
 def log_from_ratio(f, k):
@@ -156,20 +159,22 @@ def log_from_ratio(f, k):
 def decay(x):
     """Compute exp(-x) for x >= 0. From x = 230 on, the result stays exp(-230)."""
     x = min(x, DECAY_MAX)
-    k = np.rint(x / LOG_2)
-    r = k * LOG_2 - x  # exp(-x) = 2^-k exp(r)
-    exponent = np.float64(SHIFT - k).view(np.int64) + np.int64(1023)
+    halvings = np.rint(x / LOG_2)
+    remainder = halvings * LOG_2 - x  # exp(-x) = 2^-k exp(r)
+    exponent = np.float64(SHIFT - halvings).view(np.int64) + np.int64(1023)
     power = np.int64(exponent << 52).view(np.float64)  # 2^-k
-    return power * (horner(COSH, r * r) + r * horner(SINH, r * r))
+    return power * (
+        horner(COSH, remainder * remainder) + remainder * horner(SINH, remainder * remainder)
+    )
 
 
 def arctan(z):
     """Compute atan z [rad] by a polynomial, with an error below 1e-13."""
     size = abs(z)
-    low = min(size, 1.0)
-    high = max(size, 1.0)
-    middle = 1.0 if low > TAN_EIGHTH * high else 0.0
-    ratio = (low - middle * high) / (high + middle * low)
-    value = ratio * horner(ATAN, ratio * ratio) + middle * (math.pi / 4)
+    smaller = min(size, 1.0)
+    larger = max(size, 1.0)
+    is_past_eighth = 1.0 if smaller > TAN_EIGHTH * larger else 0.0
+    ratio = (smaller - is_past_eighth * larger) / (larger + is_past_eighth * smaller)
+    value = ratio * horner(ATAN, ratio * ratio) + is_past_eighth * (math.pi / 4)
     value = math.pi / 2 - value if size > 1.0 else value
     return value if z >= 0 else -value

@@ -19,7 +19,7 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.elementary import exp, expm1, sin
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion.exact import turn
-from tetractl.model.motion.wheel_equations import rolled, wheel_speeds
+from tetractl.model.motion.wheel_equations import arc_displacement, wheel_speeds
 
 
 def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any) -> Floats:
@@ -123,14 +123,14 @@ def wish(
     """
     if robots.lag_s > 0:
         forget(sent, since_ns, robots.lag_s)
-        ahead = headings_at_rest(heading, since_ns, acts_ns, robots.lag_s, sent)
+        predicted = headings_at_rest(heading, since_ns, acts_ns, robots.lag_s, sent)
     else:
-        ahead = headings_turned(heading, u, since_ns, acts_ns, robots.a)
+        predicted = headings_turned(heading, u, since_ns, acts_ns, robots.a)
     wished = np.empty((2, len(heading)))
     for i in range(len(heading)):
-        sine = sin(u[i] - ahead[i])
+        sin_phi = sin(u[i] - predicted[i])
         wished[0, i], wished[1, i] = wheel_speeds(
-            sine, robots.a[i], robots.speed[i], robots.radius[i]
+            sin_phi, robots.a[i], robots.speed[i], robots.radius[i]
         )
     return wished
 
@@ -172,10 +172,11 @@ def headings_at_rest(
         sent: The rates sent so far.
     """
     times_ns = sent.times_ns
-    share = exp(min(times_ns[0] - since_ns, 0) / SECOND / lag_s)  # that the lag has left
+    # fraction of the first difference of rates that the lag has left at `since_ns`
+    remaining = exp(min(times_ns[0] - since_ns, 0) / SECOND / lag_s)
     at_rest = np.empty(len(heading))
     for i in range(len(heading)):
-        rate = sent.rates[0, i] + (sent.true_at_first[i] - sent.rates[0, i]) * share
+        rate = sent.rates[0, i] + (sent.true_at_first[i] - sent.rates[0, i]) * remaining
         theta = heading[i] + lag_s * rate
         k = 0
         while times_ns[k] < acts_ns:
@@ -199,9 +200,9 @@ def forget(sent: SentRates, now_ns: int, lag_s: float) -> None:
     rates = sent.rates
     true_rates = sent.true_at_first
     while times_ns[1] <= now_ns:
-        share = exp((times_ns[0] - times_ns[1]) / SECOND / lag_s)
+        remaining = exp((times_ns[0] - times_ns[1]) / SECOND / lag_s)
         for i in range(len(true_rates)):
-            true_rates[i] = rates[0, i] + (true_rates[i] - rates[0, i]) * share
+            true_rates[i] = rates[0, i] + (true_rates[i] - rates[0, i]) * remaining
         for k in range(1, len(times_ns)):
             times_ns[k - 1] = times_ns[k]
             for i in range(len(true_rates)):
@@ -256,7 +257,7 @@ def roll(
     times: Times,
     ticks: Bools,
     walk: float,
-    drawn: Floats,
+    random_numbers: Floats,
     path: Floats,
 ) -> None:
     """Advance N robots, and write their poses at given times.
@@ -269,18 +270,18 @@ def roll(
         times: Times of the poses [ns], shape (M,).
         ticks: Whether the heading swerves at each time after `now_ns`, shape (M,).
         walk: Size of a swerve [rad].
-        drawn: Standard normal numbers, shape (number of ticks, N). Each swerve is `walk` times the
-            next number.
+        random_numbers: Standard normal numbers, shape (number of ticks, N). Each swerve is `walk`
+            times the next number.
         path: Filled with x, y and heading, shape (M, 3, N).
     """
-    since = now_ns
+    since_ns = now_ns
     tick = 0
     for k in range(len(times)):
-        _step(body, (times[k] - since) / SECOND)
-        since = times[k]
+        _step(body, (times[k] - since_ns) / SECOND)
+        since_ns = times[k]
         if walk > 0 and ticks[k] and times[k] > now_ns:
             for i in range(body.shape[1]):
-                body[HEADING, i] += walk * drawn[tick, i] * body[MOVING, i]
+                body[HEADING, i] += walk * random_numbers[tick, i] * body[MOVING, i]
         for row in range(3):
             for i in range(body.shape[1]):
                 path[k, row, i] = body[row, i]
@@ -294,27 +295,29 @@ def _step(body: Floats, seconds: float) -> None:
     Wheel speeds, distances and headings are exact. Chords are exact once the wheels have reached
     their speeds. Before that, their error falls with the square of the time.
     """
-    share = 1.0  # completed fraction of the change of the wheels' speeds
+    completed = 1.0  # fraction of the change of the wheels' speeds
     for i in range(body.shape[1]):
         lag = body[LAG, i]
         heading = body[HEADING, i]
         left_target = body[LEFT_TARGET, i]
         right_target = body[RIGHT_TARGET, i]
         if i == 0 or lag != body[LAG, i - 1]:
-            share = 1.0 if lag == 0 else -expm1(seconds / -lag)
-        # the speeds approach their targets exponentially: how much is missing now, and then
+            completed = 1.0 if lag == 0 else -expm1(seconds / -lag)
+        # the speeds approach their targets exponentially; these are the differences before the step
         left_missing = body[LEFT, i] - left_target
         right_missing = body[RIGHT, i] - right_target
-        body[LEFT, i] = left_target + left_missing * (1 - share)
-        body[RIGHT, i] = right_target + right_missing * (1 - share)
+        body[LEFT, i] = left_target + left_missing * (1 - completed)
+        body[RIGHT, i] = right_target + right_missing * (1 - completed)
         fastest = max(abs(body[LEFT, i]), abs(body[RIGHT, i]))
         if left_target == 0 and right_target == 0 and fastest < body[STANDS_BELOW, i]:
             body[LEFT, i] = 0.0
             body[RIGHT, i] = 0.0
-        left_way = left_target * seconds + lag * left_missing * share
-        right_way = right_target * seconds + lag * right_missing * share
-        angle = body[TURNS, i] * (right_way - left_way)  # (23)
-        east, north = rolled(heading, angle, body[MOVES, i] * (right_way + left_way))  # (21), (22)
+        left_distance = left_target * seconds + lag * left_missing * completed
+        right_distance = right_target * seconds + lag * right_missing * completed
+        angle = body[TURNS, i] * (right_distance - left_distance)  # (23)
+        east, north = arc_displacement(
+            heading, angle, body[MOVES, i] * (right_distance + left_distance)
+        )  # (21), (22)
         body[X, i] += east
         body[Y, i] += north
         body[HEADING, i] = heading + angle

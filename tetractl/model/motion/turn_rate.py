@@ -67,25 +67,27 @@ def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> A
         `saturation`.
     """
     a, _, side, saturation = robot
-    sine = su * c - cu * s
+    sin_phi = su * c - cu * s
     factor = exp(side)
-    sign = 1.0 if sine >= 0 else -1.0  # 1 to the left
-    rate = a * factor if sine >= 0 else a / factor
+    sign = 1.0 if sin_phi >= 0 else -1.0  # 1 to the left
+    rate = a * factor if sin_phi >= 0 else a / factor
     if saturation >= 1:
         return rate, (0.0, sign, 0.0)
     rate_max = a * max(factor, 1 / factor) * saturation
-    cosine = cu * c + su * s
-    sine_size = abs(sine)
+    cos_phi = cu * c + su * s
+    sin_phi_size = abs(sin_phi)
     # half the turn of the step, and sin |phi| in the middle of it
-    sh, ch = sincos(min(0.5 * t * min(rate * sine_size, rate_max), math.pi))
-    middle = sine_size * ch - cosine * sh
-    if rate * middle <= rate_max:
+    sin_half_turn, cos_half_turn = sincos(
+        min(0.5 * t * min(rate * sin_phi_size, rate_max), math.pi)
+    )
+    sin_middle = sin_phi_size * cos_half_turn - cos_phi * sin_half_turn
+    if rate * sin_middle <= rate_max:
         return rate, (0.0, sign, 0.0)
-    slope = -sign * (cosine * ch + sine_size * sh) / middle
-    return rate_max / middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
+    slope = -sign * (cos_phi * cos_half_turn + sin_phi_size * sin_half_turn) / sin_middle
+    return rate_max / sin_middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
 
 
-def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
+def turning_with_hold(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
     """Compute the turning rate like `turning`, for wheels that keep a rate until the next is sent.
 
     Such wheels are sent the rate a sin(phi) of a heading. This is Euler's method. By its modified
@@ -111,12 +113,12 @@ def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
     return a * factor, (slopes[0] - s * slope / factor, slopes[1], slopes[2])
 
 
-def times(by: Any, factor: float) -> Any:
+def scale_derivatives(derivatives: Any, factor: float) -> Any:
     """Multiply the derivatives of x, y and heading by a factor."""
-    return by[0] * factor, by[1] * factor, by[2] * factor
+    return derivatives[0] * factor, derivatives[1] * factor, derivatives[2] * factor
 
 
-def by_turning(derivatives: Derivatives, slopes: Any) -> Derivatives:
+def with_turning_derivatives(derivatives: Derivatives, slopes: Any) -> Derivatives:
     """Add the derivatives with respect to side and saturation to a step's `Derivatives`.
 
     The step was computed with the turning rate a of `turning`, and `slopes` are the derivatives of
@@ -124,9 +126,9 @@ def by_turning(derivatives: Derivatives, slopes: Any) -> Derivatives:
     corrected, because a depends on them.
     """
     step, (x_h, y_h, turn_h), (x_u, y_u, turn_u), (by_a, by_speed) = derivatives
-    x, y, turn = times(by_a, slopes[0])  # by phi: a changes with it, too
-    by_heading = (x_h - x, y_h - y, turn_h - turn)
-    by_u = (x_u + x, y_u + y, turn_u + turn)
-    by_side = times(by_a, slopes[1])
-    by_saturation = times(by_a, slopes[2])
+    dx, dy, dturn = scale_derivatives(by_a, slopes[0])  # by phi: a changes with it, too
+    by_heading = (x_h - dx, y_h - dy, turn_h - dturn)
+    by_u = (x_u + dx, y_u + dy, turn_u + dturn)
+    by_side = scale_derivatives(by_a, slopes[1])
+    by_saturation = scale_derivatives(by_a, slopes[2])
     return step, by_heading, by_u, (by_a, by_speed, by_side, by_saturation)

@@ -24,7 +24,7 @@ def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
     return v - difference, v + difference
 
 
-def rolled(heading: float, angle: float, distance: float) -> tuple[float, float]:
+def arc_displacement(heading: float, angle: float, distance: float) -> tuple[float, float]:
     """Compute the displacement x, y on an arc by (21)-(23).
 
     Args:

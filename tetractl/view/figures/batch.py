@@ -32,25 +32,25 @@ from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 from tetractl.view.figures.trials import by_folder
 
-DOTS_ASIDE = 0.14
+DOTS_SHIFT = 0.14
 """Shift of dots to the left of their category's centre [categories]."""
-MEAN_ASIDE = 1.4 * DOTS_ASIDE
+MEAN_SHIFT = 1.4 * DOTS_SHIFT
 """Shift of the mean to the right of its category's centre [categories]."""
 DOTS_WIDTH = 0.25
 """Width of a batch's dots [categories]."""
 GOLDEN = 0.6180339887
 """The golden ratio minus 1: multiples of it, modulo 1, are far from their neighbours."""
-MANY = 100
+LARGE_DOTS_MAX = 100
 """Number of trials beyond which dots are smaller."""
 DOT_PT2 = 16
 """Area of a dot [pt^2]."""
 SMALL_DOT_PT2 = 4
 """Area of a dot if there are more than MANY trials [pt^2]."""
-SHADED = 4
+SHADED_MAX = 4
 """Maximum number of batches whose bands are shaded: more would hide one another."""
-ROOM = 0.05
+MARGIN = 0.05
 """Room beyond the errors of a logarithmic axis, as a fraction of their range."""
-BEYOND = 1.02
+LIMIT_FACTOR = 1.02
 """Upper limits of the axes of a distribution, relative to the largest values."""
 NARROW_IN = 4.2
 """Width of the figure with its panels one above the other, for a page that a phone shows [in]."""
@@ -64,7 +64,7 @@ class BatchErrors:
         name: Name of the batch.
         totals: The errors, shape (n,).
         paths: The log of each trial.
-        given_directions: Whether no controller decided in them.
+        given_directions: Whether the directions were given in the spec, without a controller.
     """
 
     name: str
@@ -99,7 +99,7 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
         totals = np.array([error for _, error in finite])
         paths = [path for path, _ in finite]
         batches.append(BatchErrors(name, totals, paths, trials[0].experiment.directions_given))
-    return _drawn(batches, logs[0].experiment, {}, narrow=False)
+    return _draw_panels(batches, logs[0].experiment, {}, narrow=False)
 
 
 def batch_figure(
@@ -120,26 +120,28 @@ def batch_figure(
         paths = [trial.log for trial in group.batch.trials if counts(trial)]
         no_controller = group.experiment.directions_given
         batches.append(BatchErrors(group.name, group.totals, paths, no_controller))
-    figure = _drawn(batches, groups[0].experiment, links or {}, narrow)
-    drawn = [group for group in groups if group.counted]
-    plants = sorted({group.origin.value for group in drawn})
+    figure = _draw_panels(batches, groups[0].experiment, links or {}, narrow)
+    with_errors = [group for group in groups if group.counted]
+    plants = sorted({group.origin.value for group in with_errors})
     if len(plants) > 1:
-        plants = [f"{group.name}: {group.origin.value}" for group in drawn]
+        plants = [f"{group.name}: {group.origin.value}" for group in with_errors]
     style.headline(figure, "; ".join(plants))
     return figure
 
 
 @style.styled()
-def _drawn(
+def _draw_panels(
     batches: Sequence[BatchErrors], experiment: Experiment, links: Mapping[str, str], narrow: bool
 ) -> Figure:
-    """Draw those batches that have at least one error.
+    """Draw the two panels of the figure: the errors of each trial, and the distributions.
+
+    Batches without an error are left out.
 
     Raises:
-        LogError: If no batch has one.
+        LogError: If no batch has an error.
     """
-    drawn = [batch for batch in batches if len(batch.totals)]
-    if not drawn:
+    with_errors = [batch for batch in batches if len(batch.totals)]
+    if not with_errors:
         raise LogError("there is no complete trial to plot")
     if narrow:
         figure = style.figure(NARROW_IN, 6.0)
@@ -152,48 +154,51 @@ def _drawn(
     error = f"total error [{unit_of(experiment.units.length)}]"
     style.panel(dots, "a", "each trial, and the mean", y=error)
     style.panel(distributions_panel, "b", "fraction of trials with at most an error", error)
-    totals = np.concatenate([batch.totals for batch in drawn])
+    totals = np.concatenate([batch.totals for batch in with_errors])
     reference = experiment.reference
     if reference is not None:
         totals = np.append(totals, reference.mean)
     is_logarithmic = spans_orders(totals)
-    labels = _categories(dots, drawn, links)
+    labels = _draw_categories(dots, with_errors, links)
     if reference is not None:
         published = published_distribution(reference.n, reference.mean, reference.std)
-        _mean(dots, len(labels), published, style.GREY)
+        _draw_mean(dots, len(labels), published, style.GREY)
         totals = np.append(totals, reference.mean + reference.std)
         labels.append(f"published\nn = {reference.n}")
     name_categories(dots, labels, dots_width_in)
-    _distributions(distributions_panel, drawn)
+    _draw_distributions(distributions_panel, with_errors)
     if is_logarithmic:
-        log_axis(dots, totals, ROOM, ROOM)
+        log_axis(dots, totals, MARGIN, MARGIN)
         _share_log_axis(distributions_panel, dots)
     else:
         dots.set_ylim(bottom=0)
     style.grid_of_heights(dots)
     curves, _ = distributions_panel.get_legend_handles_labels()
-    _legend(figure, curves if len(drawn) > 1 else [], 2 if narrow else 4)
+    _add_legend(figure, curves if len(with_errors) > 1 else [], 2 if narrow else 4)
     return figure
 
 
 def _share_log_axis(panel: Axes, dots: Axes) -> None:
     """Make the x axis of the distributions logarithmic, with the ticks of the dots' y axis.
 
-    Only the ticks in the range of both axes are taken, and the x axis starts where the y axis does.
+    Ticks outside of the range of either axis are left out. The x axis starts where the y axis does.
     """
     panel.set_xscale("log")
-    low, _ = dots.get_ylim()
+    lower_limit, _ = dots.get_ylim()
     _, end = panel.get_xlim()
-    ticks = [tick for tick in dots.get_yticks() if low <= tick <= end]
+    ticks = [tick for tick in dots.get_yticks() if lower_limit <= tick <= end]
     panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     panel.set_xticks([], minor=True)
-    panel.set_xlim(left=low)
+    panel.set_xlim(left=lower_limit)
 
 
-def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
-    """Add a legend that explains the signs of both panels.
+def _add_legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
+    """Add a legend that explains the signs of both panels, and then lists the batches' curves.
 
-    `curves` are the batches' curves; they are listed after the signs in `columns` columns.
+    Args:
+        figure: The figure.
+        curves: The curves of the batches.
+        columns: Number of columns of the legend.
     """
     signs = [
         style.sign("one trial", marker="o", ms=4, alpha=0.7),
@@ -204,25 +209,27 @@ def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
     style.legend(figure, [*signs, *curves], columns)
 
 
-def _categories(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
-    """Draw the errors of each batch at its place on the x axis. Return the places' labels.
+def _draw_categories(
+    axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]
+) -> list[str]:
+    """Draw the errors of each batch at x = 0, 1 and so on, and return the labels of these places.
 
-    Values are drawn to the left of the place, and their mean to the right.
+    The dots of the trials are drawn to the left of the place, and their mean to the right.
     """
     labels: list[str] = []
-    for place, batch in enumerate(batches):
-        color = style.batch_look(place)["color"]
-        _dots(axes, place - DOTS_ASIDE, batch, color, links)
+    for x, batch in enumerate(batches):
+        color = style.batch_look(x)["color"]
+        _draw_dots(axes, x - DOTS_SHIFT, batch, color, links)
         distribution = distributions(batch.totals[None])[0]
-        _mean(axes, place + MEAN_ASIDE, distribution, color)
+        _draw_mean(axes, x + MEAN_SHIFT, distribution, color)
         name = batch.name if len(batches) > 1 else "this batch"
         labels.append(f"{name}\n{batch.label}")
     return labels
 
 
-def _dots(
+def _draw_dots(
     axes: Axes,
-    place: float,
+    x: float,
     batch: BatchErrors,
     color: str,
     links: Mapping[str, str],
@@ -233,9 +240,9 @@ def _dots(
     """
     rank = np.argsort(np.argsort(batch.totals, kind="stable"))
     dots = axes.scatter(
-        place + DOTS_WIDTH * (rank * GOLDEN % 1 - 0.5),
+        x + DOTS_WIDTH * (rank * GOLDEN % 1 - 0.5),
         batch.totals,
-        s=DOT_PT2 if len(batch.totals) <= MANY else SMALL_DOT_PT2,
+        s=DOT_PT2 if len(batch.totals) <= LARGE_DOTS_MAX else SMALL_DOT_PT2,
         color=color,
         linewidths=0,
         alpha=0.55,
@@ -247,7 +254,7 @@ def _dots(
         dots.set_urls(addresses)
 
 
-def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
+def _draw_mean(axes: Axes, x: float, errors: Distribution, color: str) -> None:
     """Draw the mean of errors, with two vertical lines around it.
 
     The thin line is +- one standard deviation, the thick line the mean's 95 % interval.
@@ -256,11 +263,11 @@ def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
     interval = errors.ci95
     if math.isfinite(errors.std):
         lowest = max(mean - errors.std, 0)
-        axes.vlines(place, lowest, mean + errors.std, color, linewidth=1)
+        axes.vlines(x, lowest, mean + errors.std, color, linewidth=1)
     if interval.known:
-        axes.vlines(place, max(interval.low, 0), interval.high, color, linewidth=4)
+        axes.vlines(x, max(interval.low, 0), interval.high, color, linewidth=4)
     axes.plot(
-        place,
+        x,
         mean,
         "o",
         color="white",
@@ -271,30 +278,44 @@ def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
     )
 
 
-def band(n: int) -> float:
-    """Return half the height of the 95 % confidence band for n values, as a fraction of all trials.
+def band_half_height(count: int) -> float:
+    """Compute half the height of the 95 % confidence band of a distribution function.
 
-    The band holds for the whole distribution at once (Dvoretzky, Kiefer and Wolfowitz).
+    The band holds for the whole function at once (Dvoretzky, Kiefer and Wolfowitz).
+
+    Args:
+        count: Number of values.
+
+    Returns:
+        Half the height, as a fraction of all trials.
     """
-    return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * n))
+    return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * count))
 
 
-def _distributions(axes: Axes, batches: Sequence[BatchErrors]) -> None:
+def _draw_distributions(axes: Axes, batches: Sequence[BatchErrors]) -> None:
     """Draw the empirical distribution function of each batch's total errors.
 
     Its confidence band is left out if there are more than SHADED batches, or too few trials for
     it.
     """
-    end = BEYOND * max(float(batch.totals.max()) for batch in batches)
+    end = LIMIT_FACTOR * max(float(batch.totals.max()) for batch in batches)
     for number, batch in enumerate(batches):
-        look = style.batch_look(number)
+        batch_style = style.batch_look(number)
         n = len(batch.totals)
         x = np.concatenate([[0.0], np.sort(batch.totals), [end]])
-        share = np.append(np.arange(n + 1), n) / n
-        half = band(n)
-        if len(batches) <= SHADED and half < 1:
-            low = np.clip(share - half, 0, 1)
-            high = np.clip(share + half, 0, 1)
-            axes.fill_between(x, low, high, step="post", color=look["color"], alpha=0.18, lw=0)
-        axes.step(x, share, where="post", lw=1.3, label=batch.name, gid="share", **look)
-    axes.set(xlim=(0, end or 1.0), ylim=(0, BEYOND))
+        fraction = np.append(np.arange(n + 1), n) / n
+        half_height = band_half_height(n)
+        if len(batches) <= SHADED_MAX and half_height < 1:
+            lower_curve = np.clip(fraction - half_height, 0, 1)
+            upper_curve = np.clip(fraction + half_height, 0, 1)
+            axes.fill_between(
+                x,
+                lower_curve,
+                upper_curve,
+                step="post",
+                color=batch_style["color"],
+                alpha=0.18,
+                lw=0,
+            )
+        axes.step(x, fraction, where="post", lw=1.3, label=batch.name, gid="share", **batch_style)
+    axes.set(xlim=(0, end or 1.0), ylim=(0, LIMIT_FACTOR))

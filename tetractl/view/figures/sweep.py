@@ -22,8 +22,8 @@ CURVES_ASIDE_IN = 0.12
 """Horizontal distance between two curves at the same value [in]: no curve hides another."""
 TRIALS_ASIDE_IN = 0.05
 """Horizontal distance between a mean and its trials [in]."""
-ROOM = 0.05
-"""Room beyond the errors of a logarithmic axis, as a fraction of their range."""
+MARGIN = 0.05
+"""Free space beyond the errors of a logarithmic axis, as a fraction of their range."""
 LABEL_LENGTH = 24
 """Maximum length of a value's text [characters]."""
 LOG_DECADES = 1.5
@@ -33,43 +33,43 @@ TICKS_MAX = 8
 
 
 @style.styled()
-def errors_by(
-    curves: Mapping[str, Sequence[ArmErrors]], field: str, unit: str, only: bool = True
+def study_errors_figure(
+    curves: Mapping[str, Sequence[ArmErrors]], field: str, unit: str, is_only_field: bool = True
 ) -> Figure:
     """Draw the errors of a study against the values of one of its fields, as coloured curves.
 
-    A line connects numbers if arms at neighbouring values differ only in the field: if it is the
-    only one that is swept, or if each value stands for several arms, always the same number.
+    A line connects numbers if arms at neighbouring values differ only in the field. This is so if
+    no other field is swept, or if each value stands for the same number of arms, and more than one.
 
     Args:
         curves: The errors of each curve, by its name.
         field: The field. Empty to draw errors against arms, labelled with their names.
         unit: Unit of the errors.
-        only: Whether it is the only field that is swept.
+        is_only_field: Whether no other field is swept.
     """
     all_arms = [arm for arms in curves.values() for arm in arms]
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)
     axes = figure.subplots()
-    places = _places(axes, all_arms)
-    numbers = numeric(all_arms)
+    positions = _place_values(axes, all_arms)
+    are_numbers = numeric(all_arms)
     errors = np.array([error for arm in all_arms for error in arm.errors])
     is_logarithmic = spans_orders(errors)
     if is_logarithmic:
-        log_axis(axes, errors, ROOM, ROOM)
+        log_axis(axes, errors, MARGIN, MARGIN)
     for number, (name, arms) in enumerate(curves.items()):
         pooled = {arm.arms for arm in arms}
-        comparable = len(pooled) == 1 and (only or arms[0].arms > 1)
-        x = [places[repr(arm.value)] for arm in arms]
-        line = "-o" if numbers and comparable else "o"
+        comparable = len(pooled) == 1 and (is_only_field or arms[0].arms > 1)
+        x = [positions[repr(arm.value)] for arm in arms]
+        marker = "-o" if are_numbers and comparable else "o"
         rank = number - (len(curves) - 1) / 2
         aside_in = CURVES_ASIDE_IN * rank if field else 0
         color = style.batch_look(number)["color"]
-        look = _look(axes, color, aside_in)
+        style_of_curve = _curve_style(axes, color, aside_in)
         means = [arm.error.mean for arm in arms]
-        axes.plot(x, means, line, markersize=3.5, label=name or None, zorder=3, **look)
-        _draw_intervals(axes, x, arms, look)
-        _draw_trials(axes, x, arms, _look(axes, color, aside_in - TRIALS_ASIDE_IN))
-        _show_all(axes, x, arms)
+        axes.plot(x, means, marker, markersize=3.5, label=name or None, zorder=3, **style_of_curve)
+        _draw_intervals(axes, x, arms, style_of_curve)
+        _draw_trials(axes, x, arms, _curve_style(axes, color, aside_in - TRIALS_ASIDE_IN))
+        _include_in_limits(axes, x, arms)
     if not field:
         name_categories(axes, [arm.label for arm in all_arms], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
@@ -82,10 +82,13 @@ def errors_by(
     return figure
 
 
-def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
-    """Return the style of marks that are drawn beside their place on the x axis.
+def _curve_style(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
+    """Create the style of a curve whose marks are drawn beside their place on the x axis.
 
-    `aside_in` is the distance to the right [in]; it may be negative.
+    Args:
+        axes: The axes.
+        color: Colour of the marks.
+        aside_in: Distance by which the marks are shifted to the right [in]. It may be negative.
     """
     figure = axes.get_figure(root=True)
     assert figure is not None
@@ -93,22 +96,25 @@ def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
     return {"color": color, "clip_on": False, "transform": axes.transData + shift}
 
 
-def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
-    """Return {value: x} of each value on the x axis, and label the axis with the values.
+def _place_values(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
+    """Place the values of arms on the x axis, and label the axis with the values.
 
-    If all values are numbers, x is the number itself, on a logarithmic axis if they span much.
-    Otherwise, x counts the values from 0 in their order.
+    If all values are numbers, each is placed at itself, on a logarithmic axis if they span more
+    than LOG_DECADES. Otherwise, the values are placed at 0, 1, 2 and so on, in their order.
+
+    Returns:
+        The x coordinate of each value, by the value's `repr`.
     """
     if not numeric(arms):
         labels = {repr(arm.value): arm.label for arm in arms}
-        texts = [label[:LABEL_LENGTH] for label in labels.values()]
-        axes.set_xticks(range(len(texts)), texts)
+        tick_labels = [label[:LABEL_LENGTH] for label in labels.values()]
+        axes.set_xticks(range(len(tick_labels)), tick_labels)
         axes.set_xlim(-0.5, len(labels) - 0.5)
         return {value: float(place) for place, value in enumerate(labels)}
-    rising = sorted(arms, key=lambda arm: arm.value)
-    labels_of = {float(arm.value): arm.label for arm in rising}
-    least = min(labels_of)
-    if least > 0 and max(labels_of) / least >= 10**LOG_DECADES:
+    arms_by_value = sorted(arms, key=lambda arm: arm.value)
+    labels_of = {float(arm.value): arm.label for arm in arms_by_value}
+    smallest = min(labels_of)
+    if smallest > 0 and max(labels_of) / smallest >= 10**LOG_DECADES:
         axes.set_xscale("log")
     if len(labels_of) <= TICKS_MAX:
         axes.set_xticks([*labels_of], [*labels_of.values()])
@@ -116,44 +122,45 @@ def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
 
 
 def _draw_intervals(
-    axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
+    axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], style_of_curve: dict[str, Any]
 ) -> None:
-    """Draw the 95 % interval of each arm's mean as a vertical line.
-
-    Arms without one have no line.
-    """
-    places: list[float] = []
+    """Draw the 95 % interval of each arm's mean as a vertical line, if the interval is known."""
+    with_interval: list[float] = []
     intervals: list[Interval] = []
-    for place, arm in zip(x, arms, strict=True):
+    for position, arm in zip(x, arms, strict=True):
         if arm.error.ci95.known:
-            places.append(place)
+            with_interval.append(position)
             intervals.append(arm.error.ci95)
-    low = [interval.low for interval in intervals]
+    lower_ends = [interval.low for interval in intervals]
     if axes.get_yscale() == "log":
-        low = [max(end, axes.get_ylim()[0]) for end in low]  # a bound may be 0 or less
-    high = [interval.high for interval in intervals]
-    axes.vlines(places, low, high, linewidth=2.5, alpha=0.45, **look)
+        lower_ends = [
+            max(end, axes.get_ylim()[0]) for end in lower_ends
+        ]  # a bound may be 0 or less
+    upper_ends = [interval.high for interval in intervals]
+    axes.vlines(with_interval, lower_ends, upper_ends, linewidth=2.5, alpha=0.45, **style_of_curve)
 
 
 def _draw_trials(
-    axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
+    axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], style_of_curve: dict[str, Any]
 ) -> None:
     """Draw a dot for the error of each trial of a curve."""
     errors = np.concatenate([arm.errors for arm in arms])
-    places = np.repeat(x, [len(arm.errors) for arm in arms])
-    axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.5, gid="trials", **look)
+    positions = np.repeat(x, [len(arm.errors) for arm in arms])
+    axes.plot(
+        positions, errors, "o", markersize=2.5, mew=0, alpha=0.5, gid="trials", **style_of_curve
+    )
 
 
-def _show_all(axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors]) -> None:
+def _include_in_limits(axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors]) -> None:
     """Set the limits of the axes so that a curve fits.
 
     This is needed because curves that are shifted sideways do not change the limits themselves.
     """
     points: list[tuple[float, float]] = []
-    for place, arm in zip(x, arms, strict=True):
-        points += [(place, error) for error in arm.errors]
+    for position, arm in zip(x, arms, strict=True):
+        points += [(position, error) for error in arm.errors]
         if arm.error.ci95.known:
-            points += [(place, arm.error.ci95.low), (place, arm.error.ci95.high)]
+            points += [(position, arm.error.ci95.low), (position, arm.error.ci95.high)]
     if points:
         axes.update_datalim(points)
     axes.autoscale_view()

@@ -32,7 +32,7 @@ from tetractl.view.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import arrow, bar, sparkline
 
-ENDED: Mapping[str, str] = {
+SEARCH_ENDINGS: Mapping[str, str] = {
     StopReason.CRITERION: "by its criterion",
     StopReason.ITERATIONS: "at this limit",
     StopReason.TARGET: "good enough",
@@ -45,27 +45,32 @@ LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 ARENA_SHARE = 0.58
 """Fraction of the width that the arena may take.
 
-It may take more if the numbers still have NUMBERS_WANTED columns.
+It may take more if the numbers still have NUMBERS_WIDTH_WANTED columns.
 """
-NUMBERS_WANTED = 36
-NUMBERS_LEAST = 19
+NUMBERS_WIDTH_WANTED = 36
+"""Width of the numbers from which on a wide arena may take more than its fraction [columns]."""
+NUMBERS_WIDTH_MIN = 19
 """Minimum width that the arena leaves to the numbers [columns]."""
-NUMBERS_MOST = 58
+NUMBERS_WIDTH_MAX = 58
+"""Maximum width of the numbers [columns]."""
 GAP = 2
 """Number of columns between arena and numbers, and between hints."""
-BAR_MOST = 60
-BAR_WANTED = 12
-"""Width that hints leave to the footer's bar [columns]. BAR_MOST is its maximum width."""
-ROBOT_BAR_MOST = 40
-ROBOTS_LEAST = 3
+BAR_WIDTH_MAX = 60
+"""Maximum width of the footer's bar [columns]."""
+BAR_WIDTH_WANTED = 12
+"""Width that hints leave to the footer's bar [columns]."""
+ROBOT_BAR_WIDTH_MAX = 40
+"""Maximum width of the bar that shows a robot's distance [columns]."""
+ROBOT_LINES_MIN = 3
 """Minimum number of lines of robots, even if other blocks then have no line."""
-SMALLEST = 1e-12
-"""Minimum distance of a full bar [length unit], because robots may start on their targets."""
-SPARKLINE_MOST = 48
-LINES_OF_OTHERS = 12
+FULL_BAR_MIN = 1e-12
+"""Minimum distance that a full bar stands for [length unit]: robots may start on their targets."""
+SPARKLINE_WIDTH_MAX = 48
+"""Maximum width of a curve [columns]."""
+OTHER_LINES = 12
 """Number of lines that the robots' block leaves to other blocks."""
 EVENTS_SHOWN = ((36, 6), (24, 2), (16, 1))
-"""Minimum height of the terminal, and how many events it then shows; the first that fits."""
+"""How many events are shown: pairs of a minimum height and a number, of which the first holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +91,13 @@ class Footer:
 
         If it is too long, hints are left out from the last one, then the bar is shortened.
         """
-        words = len(self.before) + len(self.after) + 2
+        text_width = len(self.before) + len(self.after) + 2
         hints = list(self.hints)
-        while hints and words + BAR_WANTED + _width_of_hints(hints) > width:
+        while hints and text_width + BAR_WIDTH_WANTED + _width_of_hints(hints) > width:
             hints.pop()
-        bar_width = max(width - words - _width_of_hints(hints), 0)
-        filled = bar(min(bar_width, BAR_MOST), self.fraction, "bold")
-        line = Text.assemble(f"{self.before} ", filled, f" {self.after}")
+        bar_width = max(width - text_width - _width_of_hints(hints), 0)
+        progress_bar = bar(min(bar_width, BAR_WIDTH_MAX), self.fraction, "bold")
+        line = Text.assemble(f"{self.before} ", progress_bar, f" {self.after}")
         for hint in hints:
             key, _, action = hint.partition(" ")
             line.append_text(Text.assemble(" " * GAP, (key, "bold"), (f" {action}", "dim")))
@@ -137,56 +142,56 @@ class Dashboard:
         self._footer = footer
         self._notes = notes
         self._aside = aside
-        self._plain = plain
+        self._is_plain = plain
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = options.max_width
         height = options.height or console.height
-        events = self._events(height)
+        events = self._event_lines(height)
         footer = self._footer.text(width)
         body_height = max(height - 1 - len(events), 1)
 
-        rows = self._arena(width, body_height)
+        rows = self._arena_rows(width, body_height)
         arena_width = Segment.get_line_length(rows[0])
-        numbers_width = min(width - arena_width - GAP, NUMBERS_MOST)
+        numbers_width = min(width - arena_width - GAP, NUMBERS_WIDTH_MAX)
         if numbers_width > 0:
-            numbers = self._numbers(numbers_width, body_height)
+            numbers = self._number_lines(numbers_width, body_height)
             for row, text in zip(rows, numbers, strict=False):
-                row += [Segment(" " * GAP), *fitted(console, text, numbers_width)]
-        rows += [fitted(console, event, width) for event in events]
-        rows.append(fitted(console, footer, width))
-        yield from printed(rows, width)
+                row += [Segment(" " * GAP), *fit_line(console, text, numbers_width)]
+        rows += [fit_line(console, event, width) for event in events]
+        rows.append(fit_line(console, footer, width))
+        yield from fill_rows(rows, width)
 
-    def _arena(self, width: int, height: int) -> list[list[Segment]]:
-        """Return the arena in its frame as exactly `height` rows of equal width.
+    def _arena_rows(self, width: int, height: int) -> list[list[Segment]]:
+        """Draw the arena in its frame as exactly `height` rows of equal width.
 
-        Rows of blanks fill the rest.
+        Below the frame, blank rows are added.
         """
         arena = self._moment.setup.arena
         left_by_share = width - GAP - round(ARENA_SHARE * width)
-        numbers_width = min(max(left_by_share, NUMBERS_LEAST), NUMBERS_WANTED)
+        numbers_width = min(max(left_by_share, NUMBERS_WIDTH_MIN), NUMBERS_WIDTH_WANTED)
         arena_width = max(width - GAP - numbers_width, 3)  # a frame, and a column inside
-        inside = Projection.fit(arena, arena_width - 2, height - 2)
-        canvas = draw(self._moment, self._colors, inside.width, inside.height)
-        size = f"{arena.width:g} × {arena.height:g} {self._moment.setup.unit}"
-        rows = list(framed(canvas, size))
-        blank = Segment(" " * (inside.width + 2))
+        projection = Projection.fit(arena, arena_width - 2, height - 2)
+        canvas = draw(self._moment, self._colors, projection.width, projection.height)
+        size_text = f"{arena.width:g} × {arena.height:g} {self._moment.setup.unit}"
+        rows = list(framed(canvas, size_text))
+        blank = Segment(" " * (projection.width + 2))
         while len(rows) < height:
             rows.append([blank])
         return rows[:height]
 
-    def _numbers(self, width: int, height: int) -> list[Text]:
-        """Return the part with the trial's numbers, in at most `height` lines.
+    def _number_lines(self, width: int, height: int) -> list[Text]:
+        """Compose the part with the trial's numbers, in at most `height` lines.
 
-        The blocks that fit are shown, with an empty line between them as long as there are lines
-        left.
+        The most important blocks that fit are shown. If lines remain, an empty line separates the
+        blocks.
         """
-        by_rank = {  # from top to bottom; where space is short, the greatest rank goes first
-            0: self._head(),
-            3: self._robots(width, height),
-            2: self._total(width),
-            4: self._plan(width),
-            5: self._effort(),
+        by_rank = {  # from top to bottom; if space is short, the highest rank is left out first
+            0: self._head_lines(),
+            3: self._robots_block(width, height),
+            2: self._total_lines(width),
+            4: self._plan_lines(width),
+            5: self._effort_lines(),
             1: self._warnings_and_end(width),
         }
         blocks = {rank: block for rank, block in by_rank.items() if block}
@@ -201,74 +206,76 @@ class Dashboard:
             lines += block
         return lines[:height]
 
-    def _head(self) -> list[Text]:
+    def _head_lines(self) -> list[Text]:
         """Return lines that describe the trial, the time, the control step and the direction."""
         moment = self._moment
         step = moment.step
-        until = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
+        end_text = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
         lines = [
             Text(self._heading, "bold", no_wrap=True),
-            _row("time", f"{moment.time_s:.1f}{until} s"),
+            _labelled_line("time", f"{moment.time_s:.1f}{end_text} s"),
         ]
-        if not self._plain:
-            number = "none yet" if step is None else f"{step.k}"
-            lines.append(_row("step k", number))
+        if not self._is_plain:
+            step_number = "none yet" if step is None else f"{step.k}"
+            lines.append(_labelled_line("step k", step_number))
         if step is None:
             return lines
-        if not (self._plain or step.plan.pauses or _is_given(step)):
+        if not (self._is_plain or step.plan.pauses or _is_given(step)):
             count = len(step.plan.signals)
             signals = "1 signal" if count == 1 else f"{count} signals"
-            lines.append(_row("horizon", signals))
+            lines.append(_labelled_line("horizon", signals))
         direction = step.command.direction
         if direction is None:
             robots = doing(step.plan)
             searches = moment.result is None and step.plan.state is not State.STUCK
             if searches and step.plan.pauses:
                 robots += ", searching"
-            lines.append(_row("robots", robots))
+            lines.append(_labelled_line("robots", robots))
         else:
             degrees = math.degrees(math.remainder(direction, math.tau))
-            lines.append(_row("direction", f"{arrow(direction)} {degrees:+.0f}°"))
+            lines.append(_labelled_line("direction", f"{arrow(direction)} {degrees:+.0f}°"))
         return lines
 
-    def _robots(self, width: int, height: int) -> list[Text]:
+    def _robots_block(self, width: int, height: int) -> list[Text]:
         """Return a title, then a line for each robot: its distance to its target, with a bar.
 
         If not all robots fit, a line describes the others.
         """
         setup = self._moment.setup
         distances = self._moment.distances
-        lines_most = max(height - LINES_OF_OTHERS, ROBOTS_LEAST)
+        lines_most = max(height - OTHER_LINES, ROBOT_LINES_MIN)
         listed = len(distances) if len(distances) <= lines_most else lines_most - 1
         title = f"to target [{setup.unit}]"
-        if not self._plain:
+        if not self._is_plain:
             title += f", {self._moment.known}"
         lines = [Text(title, "dim", no_wrap=True)]
         lines += self._robot_lines(width, listed)
         if listed < len(distances):
-            worst = _number(float(distances[listed:].max()))
-            lines.append(Text(f"and {len(distances) - listed} more, at most {worst}", "dim"))
+            farthest = _format_length(float(distances[listed:].max()))
+            lines.append(Text(f"and {len(distances) - listed} more, at most {farthest}", "dim"))
         return lines
 
     def _robot_lines(self, width: int, count: int) -> Iterator[Text]:
         """Yield a line for each of the first robots: `MARK NAME VALUE BAR`.
 
-        Names are cut before values are, and bars get what is left. A full bar is the maximum
-        distance at the start, which has four digits: 854.0 mm.
+        If space is short, bars are left out first, and then names are cut. A full bar is the
+        maximum distance at the start, which has four digits, for example 854.0.
         """
         setup = self._moment.setup
         distances = self._moment.distances[:count]
         names = setup.names[:count]
         at_start = setup.distances(setup.starts.xy)
-        full = max(float(np.nanmax(at_start)), SMALLEST)
-        digits = math.floor(math.log10(full)) + 1  # before the decimal point
+        full_distance = max(float(np.nanmax(at_start)), FULL_BAR_MIN)
+        digits = math.floor(math.log10(full_distance)) + 1  # before the decimal point
         decimals = min(max(4 - digits, 0), 6)
-        value_width = max(len(f"{distance:.{decimals}f}") for distance in (full, *distances))
-        rest = width - value_width - 5  # the mark, three gaps, and a column to spare
+        value_width = max(
+            len(f"{distance:.{decimals}f}") for distance in (full_distance, *distances)
+        )
+        remaining_width = width - value_width - 5  # the mark, three gaps, and a column to spare
         longest_name = max((len(name) for name in names), default=0)
-        name_width = min(longest_name, max(rest, 0))
-        bar_width = min(max(rest - name_width, 0), ROBOT_BAR_MOST)
-        standing = self._standing()
+        name_width = min(longest_name, max(remaining_width, 0))
+        bar_width = min(max(remaining_width - name_width, 0), ROBOT_BAR_WIDTH_MAX)
+        standing = self._names_of_standing()
         for robot, (name, color) in enumerate(zip(names, self._colors, strict=False)):
             heading = self._moment.poses[robot, 2]
             distance = float(distances[robot])
@@ -280,67 +287,67 @@ class Dashboard:
             if name in standing:
                 line.append("stands", "yellow")
             else:
-                line.append_text(bar(bar_width, distance / full, color))
+                line.append_text(bar(bar_width, distance / full_distance, color))
             yield line
 
-    def _standing(self) -> list[str]:
-        """Return the names of the robots that stand still, as estimated with the newest plan.
+    def _names_of_standing(self) -> list[str]:
+        """List the robots that stand still according to the estimate of the newest plan.
 
-        Empty if there is no estimate.
+        The list is empty if there is no estimate.
         """
         step = self._moment.step
         if step is None or not step.plan.estimate:
             return []
         return step.plan.estimate.standing(self._moment.setup.names)
 
-    def _total(self, width: int) -> list[Text]:
+    def _total_lines(self, width: int) -> list[Text]:
         """Return a line with the total error, and a small curve of it at each step so far."""
         moment = self._moment
-        total = _number(float(moment.distances.sum()))
-        line_width = min(width, SPARKLINE_MOST)
+        total_error = _format_length(float(moment.distances.sum()))
+        line_width = min(width, SPARKLINE_WIDTH_MAX)
         return [
-            _row("total error", f"{total} {moment.setup.unit}"),
+            _labelled_line("total error", f"{total_error} {moment.setup.unit}"),
             sparkline(moment.totals, line_width, total=moment.steps_end),
         ]
 
-    def _plan(self, width: int) -> list[Text]:
+    def _plan_lines(self, width: int) -> list[Text]:
         """Return lines with the cost of the newest plan before and after its search.
 
-        They also state the search's iterations. Empty if there was no search, if the robots pause,
-        or in the plain style.
+        A last line has the number of iterations. There are no lines if there was no search, if the
+        robots pause, or in the plain style.
         """
         setup = self._moment.setup
         step = self._moment.step
         if step is None or step.plan.pauses:
             return []  # robots that stand follow no plan
-        if self._plain or _is_given(step):
+        if self._is_plain or _is_given(step):
             return []
         search = step.plan.search
-        done = len(search.history) - 1
-        most = max(setup.iterations_max, done)
-        first = _number(float(search.history[0])) if done >= 0 else "?"
-        last = _number(step.plan.cost)
-        ended = ENDED.get(search.stopped, search.stopped)
-        line_width = min(width, SPARKLINE_MOST)
+        iterations = len(search.history) - 1
+        iterations_max = max(setup.iterations_max, iterations)
+        first_cost = _format_length(float(search.history[0])) if iterations >= 0 else "?"
+        last_cost = _format_length(step.plan.cost)
+        reason = SEARCH_ENDINGS.get(search.stopped, search.stopped)
+        line_width = min(width, SPARKLINE_WIDTH_MAX)
         return [
-            _row("plan cost J", f"{first} → {last} {setup.unit}"),
-            sparkline(search.history, line_width, total=most + 1, log=True),
-            _row("iterations", f"{done} of {most}, {ended}"),
+            _labelled_line("plan cost J", f"{first_cost} → {last_cost} {setup.unit}"),
+            sparkline(search.history, line_width, total=iterations_max + 1, log=True),
+            _labelled_line("iterations", f"{iterations} of {iterations_max}, {reason}"),
         ]
 
-    def _effort(self) -> list[Text]:
+    def _effort_lines(self) -> list[Text]:
         """Return lines that state how long the newest search took, and how many evaluations.
 
-        Empty if there was no search, or in the plain style.
+        There are no lines if there was no search, or in the plain style.
         """
         step = self._moment.step
-        if step is None or self._plain or _is_given(step):
+        if step is None or self._is_plain or _is_given(step):
             return []
-        solve = _row("solve time", f"{milliseconds(step.solve_ns):.1f} ms")
+        solve_line = _labelled_line("solve time", f"{milliseconds(step.solve_ns):.1f} ms")
         if step.deadline_missed:
-            solve.append("  too late", "bold red")
+            solve_line.append("  too late", "bold red")
         evaluations = f"{step.plan.evaluations:,}".replace(",", " ")
-        return [solve, _row("evaluations", evaluations)]
+        return [solve_line, _labelled_line("evaluations", evaluations)]
 
     def _warnings_and_end(self, width: int) -> list[Text]:
         """Return the notes, the text `aside` and, once there is a result, lines about it.
@@ -351,34 +358,34 @@ class Dashboard:
         aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
         lines += [Text(line, "dim", no_wrap=True) for line in aside]
         result = self._moment.result
-        if result is not None and not (self._plain and result.outcome.complete):
+        if result is not None and not (self._is_plain and result.outcome.complete):
             lines += _end_lines(result, width)
         return lines
 
-    def _events(self, height: int) -> list[Text]:
+    def _event_lines(self, height: int) -> list[Text]:
         """Return the newest events, as many as a terminal of `height` lines shows.
 
         Above them are empty lines for future events. Before the first event, the result is empty.
         """
-        events = [e for e in self._moment.events if e.level != "info" or not self._plain]
+        events = [e for e in self._moment.events if e.level != "info" or not self._is_plain]
         if not events:
             return []
-        most = next((count for least, count in EVENTS_SHOWN if height >= least), 0)
-        older = max(len(events) - most, 0)
+        shown_max = next((count for least, count in EVENTS_SHOWN if height >= least), 0)
+        hidden = max(len(events) - shown_max, 0)
         lines = []
-        for event in events[older:]:
-            text = event.text if event.level == "info" else f"{event.level}: {event.text}"
-            time = (f"{event.time_s:7.1f} s  ", "dim")
+        for event in events[hidden:]:
+            event_text = event.text if event.level == "info" else f"{event.level}: {event.text}"
+            timestamp = (f"{event.time_s:7.1f} s  ", "dim")
             style = LEVEL_STYLES.get(event.level, "")
-            lines.append(Text.assemble(time, text, style=style, no_wrap=True))
-        empty = [Text() for _ in range(most - len(lines))]
-        return empty + lines
+            lines.append(Text.assemble(timestamp, event_text, style=style, no_wrap=True))
+        empty_lines = [Text() for _ in range(shown_max - len(lines))]
+        return empty_lines + lines
 
 
-def fitted(console: Console, text: Text, width: int) -> list[Segment]:
-    """Return a line of text as segments that fit a given width.
+def fit_line(console: Console, text: Text, width: int) -> list[Segment]:
+    """Cut a line of text to a width, and return it as segments.
 
-    If the text is cut, its last sign is an ellipsis, so that no number looks like a shorter one.
+    If the text is cut, it ends with an ellipsis, so that no number looks like a shorter one.
 
     Args:
         console: The console.
@@ -390,7 +397,7 @@ def fitted(console: Console, text: Text, width: int) -> list[Segment]:
     return list(text.render(console))
 
 
-def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
+def fill_rows(rows: Sequence[list[Segment]], width: int) -> RenderResult:
     """Yield rows for the library rich, each cut or filled to exactly `width` characters."""
     for number, row in enumerate(rows):
         if number:
@@ -408,21 +415,22 @@ def _end_lines(result: Result, width: int) -> list[Text]:
     return lines
 
 
-def _row(label: str, value: str) -> Text:
-    """Return a line of the dashboard, with a label and a value."""
+def _labelled_line(label: str, value: str) -> Text:
+    """Format a line of the dashboard that consists of a label and a value."""
     return Text.assemble((f"{label:<11} ", "dim"), value, no_wrap=True)
 
 
-def _number(value: float) -> str:
+def _format_length(value: float) -> str:
     """Format a length for the dashboard.
 
-    It has no decimals from 100 on, one decimal from 1 on, and three significant digits below 1.
+    A length of 100 or more has no decimals, a length of 1 or more has one decimal, and a smaller
+    length has three significant digits.
     """
     if not math.isfinite(value):
         return str(value)
-    size = abs(value)
-    if size >= 100:
+    magnitude = abs(value)
+    if magnitude >= 100:
         return f"{value:.0f}"
-    if size >= 1:
+    if magnitude >= 1:
         return f"{value:.1f}"
     return f"{value:.3g}"

@@ -36,17 +36,20 @@ _KEY = re.compile(
 ESCAPE_S = 0.05
 """Time within which the rest of a key's escape sequence comes [s]; without it, Esc was pressed."""
 STOP_KEYS = {"space", "escape"}
-_MOUSE = "\x1b[<"
+_MOUSE_EVENT = "\x1b[<"
 """Begin of an event of the mouse, in a terminal's mode 1006."""
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
     """Split bytes read from a terminal into names of keys and an unfinished escape sequence.
 
-    The name of a printable character is the character, except "space". The name of a mouse event is
-    what follows the escape character and `[`. Unknown sequences are dropped. "escape" is Esc
-    followed by another character, as when it is held: Esc alone looks like the beginning of a
-    sequence, until ESCAPE_S have passed.
+    A printable character is named by itself, except "space". A mouse event is named by the
+    characters after the escape character and `[`. Unknown sequences are dropped. "escape" is Esc
+    followed by another character, for example when the key is held down: Esc alone looks like the
+    beginning of a sequence until ESCAPE_S have passed.
+
+    Returns:
+        The names, and the bytes of the unfinished sequence at the end.
     """
     keys: list[str] = []
     for sequence in _KEY.finditer(data.decode("latin-1")):
@@ -54,11 +57,11 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
             return keys, data[sequence.start() :]
         if sequence["alt"]:  # of a key with Alt, whose sequence follows
             continue
-        text = sequence[0]
-        if text in _NAMES or sequence["printable"]:
-            keys.append(_NAMES.get(text, text))
-        elif text.startswith(_MOUSE):
-            keys.append(text.removeprefix("\x1b["))
+        sequence_text = sequence[0]
+        if sequence_text in _NAMES or sequence["printable"]:
+            keys.append(_NAMES.get(sequence_text, sequence_text))
+        elif sequence_text.startswith(_MOUSE_EVENT):
+            keys.append(sequence_text.removeprefix("\x1b["))
     return keys, b""
 
 
@@ -69,7 +72,7 @@ class _Unbuffered:
         import termios  # not on Windows
 
         self.fd = sys.stdin.fileno()
-        self._before = termios.tcgetattr(self.fd)
+        self._first_mode = termios.tcgetattr(self.fd)
         self.set()
 
     def set(self) -> None:
@@ -84,16 +87,21 @@ class _Unbuffered:
         import termios
 
         with suppress(termios.error):
-            termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
+            termios.tcsetattr(self.fd, termios.TCSANOW, self._first_mode)
 
     def wait(self, timeout_s: float, count: int) -> bytes | None:
-        """Wait for input, and return the bytes that arrive within `timeout_s`, at most `count`.
+        """Wait for input, and read it.
 
-        None if there are none, and b"" if the terminal was closed.
+        Args:
+            timeout_s: Maximum time to wait for the first byte [s].
+            count: Maximum number of bytes to read.
+
+        Returns:
+            The bytes. None if no input arrives in time, and b"" if the terminal was closed.
         """
         try:
-            ready, _, _ = select.select([self.fd], [], [], timeout_s)
-            return os.read(self.fd, count) if ready else None
+            readable, _, _ = select.select([self.fd], [], [], timeout_s)
+            return os.read(self.fd, count) if readable else None
         except OSError:
             return b""
 
@@ -102,19 +110,25 @@ class Keyboard:
     """Reads each key as soon as it is pressed, without echo. It is a context manager.
 
     Ctrl-C and other STOP_SIGNALS raise no exception, so that no operation is cut short: they set
-    `interrupted`, and `read` returns ["q"]. On Ctrl-Z, `leave` is called, the terminal is restored,
-    and the process is suspended; when the process continues, `back` is called.
+    `interrupted`, and `read` returns ["q"]. On Ctrl-Z, the terminal is restored and the process is
+    suspended.
+
+    Args:
+        on_leave: Called before the process is suspended.
+        on_return: Called when the process continues.
     """
 
-    def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
-        self._leave = leave
-        self._back = back
-        self._rest = b""
-        self._stop_wanted = False
+    def __init__(self, on_leave: Callable[[], None], on_return: Callable[[], None]) -> None:
+        self._on_leave = on_leave
+        self._on_return = on_return
+        self._unfinished = b""
+        self._is_suspend_asked = False
         self.interrupted = False
 
     def __enter__(self) -> Self:
-        handlers = {signal.SIGTSTP: self._note_stop} | dict.fromkeys(STOP_SIGNALS, self._interrupt)
+        handlers = {signal.SIGTSTP: self._ask_to_suspend} | dict.fromkeys(
+            STOP_SIGNALS, self._interrupt
+        )
         self._handlers = {n: signal.signal(n, handler) for n, handler in handlers.items()}
         self._input = _Unbuffered()
         return self
@@ -129,29 +143,29 @@ class Keyboard:
 
         After an interrupt, or if the terminal was closed, the result is ["q"].
         """
-        if self._stop_wanted:
+        if self._is_suspend_asked:
             self._suspend()
         data = self._input.wait(timeout_s, 1024)
         if self.interrupted or data == b"":
             return ["q"]
         if data is None:
-            self._rest = b""  # it was the Esc key alone
+            self._unfinished = b""  # it was the Esc key alone
             return []
-        keys, self._rest = decode(self._rest + data)
+        keys, self._unfinished = decode(self._unfinished + data)
         return keys
 
-    def _note_stop(self, number: int, frame: FrameType | None) -> None:
-        self._stop_wanted = True
+    def _ask_to_suspend(self, number: int, frame: FrameType | None) -> None:
+        self._is_suspend_asked = True
 
     def _suspend(self) -> None:
-        self._stop_wanted = False
-        self._leave()
+        self._is_suspend_asked = False
+        self._on_leave()
         self._input.restore()
         signal.signal(signal.SIGTSTP, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTSTP)  # suspends the process until SIGCONT
-        signal.signal(signal.SIGTSTP, self._note_stop)
+        signal.signal(signal.SIGTSTP, self._ask_to_suspend)
         self._input.set()
-        self._back()
+        self._on_return()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.interrupted = True
@@ -202,19 +216,20 @@ class StopKey:
             self._input.restore()
 
     def _listen(self) -> None:
-        rest = b""
+        unfinished = b""
         while not self._closing.is_set():
-            data = self._input.wait(ESCAPE_S if rest else 0.2, 64)
+            data = self._input.wait(ESCAPE_S if unfinished else 0.2, 64)
             if data is None:
-                if rest:  # Esc alone; a sequence that never ends stops, too: better than not to
+                # it was Esc alone, or a sequence that never ends, which stops the robots to be safe
+                if unfinished:
                     self._stop()
-                rest = b""
+                unfinished = b""
                 continue
             if not data:
                 if not self._unattended:
                     self._stop()
                 return
-            keys, rest = decode(rest + data)
+            keys, unfinished = decode(unfinished + data)
             if not self._stop_keys.isdisjoint(keys):
                 self._stop()
             for key in keys:

@@ -13,16 +13,24 @@ from tetractl.core.trial import Result
 from tetractl.run.batch import Ending, RunObserver
 from tetractl.run.task import Task
 
-LINES = 10  # number of progress lines that a study prints without a terminal
-RESULTS_TO_EXPECT = 3  # least number of results from which a study's duration is estimated
-PAUSE_S = 10.0  # least time between two progress lines of a script [s]
-BAR_PAUSE_S = 0.2  # least time between two changes of a notebook's bar [s]
+STUDY_LINES = 10
+"""Number of progress lines that a study prints without a terminal."""
+RESULTS_TO_ESTIMATE = 3
+"""Minimum number of results from which a study's duration is estimated."""
+LINE_INTERVAL_S = 10.0
+"""Minimum time between two progress lines of a script [s]."""
+BAR_INTERVAL_S = 0.2
+"""Minimum time between two changes of a notebook's bar [s]."""
 
 
 class Tally:
-    """Counts of a batch's trials so far, by outcome.
+    """The results of a batch's trials so far: their errors, and how many ended badly.
 
-    `began_s` is when its first trial began [s].
+    Attributes:
+        began_s: When the first trial began [s].
+        errors: Total error of each finished trial.
+        aborted: Number of aborted trials.
+        entered: Number of trials in which a robot entered an obstacle.
     """
 
     def __init__(self) -> None:
@@ -48,12 +56,12 @@ class Tally:
         """
         if not self.errors:
             return ""
-        words = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]
+        parts = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]
         if self.entered:
-            words.append(f"{self.entered} entered an obstacle")
+            parts.append(f"{self.entered} entered an obstacle")
         if self.aborted:
-            words.append(f"{self.aborted} aborted")
-        return ", ".join(words)
+            parts.append(f"{self.aborted} aborted")
+        return ", ".join(parts)
 
 
 class _TrialsBar(RunObserver):
@@ -61,30 +69,32 @@ class _TrialsBar(RunObserver):
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         self._console = console
-        self._total = total
-        live = console.is_terminal and not (console.is_dumb_terminal or console.quiet or quiet)
-        self._done = 0
+        self._trial_count = total
+        is_shown = console.is_terminal and not (console.is_dumb_terminal or console.quiet or quiet)
+        self._ended_count = 0
         columns = (TextColumn("trials"), BarColumn(bar_width=30), MofNCompleteColumn())
-        words = TextColumn("{task.description}")
-        self._bar = Progress(*columns, words, console=console, transient=True) if live else None
+        description = TextColumn("{task.description}")
+        self._bar = (
+            Progress(*columns, description, console=console, transient=True) if is_shown else None
+        )
 
     def __enter__(self) -> Self:
         if self._bar:
             self._bar.start()
-            self._task = self._bar.add_task("", total=self._total)
+            self._task = self._bar.add_task("", total=self._trial_count)
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._bar:
             self._bar.stop()
 
-    def _advance(self, *words: str) -> None:
-        self._done += 1
+    def _advance(self, *parts: str) -> None:
+        self._ended_count += 1
         if self._bar:
-            self._bar.update(self._task, advance=1, description=", ".join(filter(None, words)))
+            self._bar.update(self._task, advance=1, description=", ".join(filter(None, parts)))
 
-    def _say(self, text: str) -> None:
-        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+    def _print_line(self, line: str) -> None:
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 class BatchProgress(_TrialsBar):
@@ -107,9 +117,9 @@ class BatchProgress(_TrialsBar):
         """Advance the bar or, without a bar, print the trial's line if it has a result."""
         if ending.result:
             self._tally.add(ending.result)
-        self._advance(_left(ending), self._tally.summary(self._unit))
+        self._advance(_remaining_time(ending), self._tally.summary(self._unit))
         if ending.result and not self._bar:
-            self._say(trial_line(ending.task, ending.result, self._unit))
+            self._print_line(trial_line(ending.task, ending.result, self._unit))
 
 
 class StudyProgress(_TrialsBar):
@@ -126,8 +136,8 @@ class StudyProgress(_TrialsBar):
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         super().__init__(console, total, quiet)
         self._quiet = quiet
-        self._results = 0
-        self._expected = False  # whether the expected duration was printed
+        self._result_count = 0
+        self._is_estimate_printed = False  # whether the expected duration was printed
 
     def trial_ended(self, ending: Ending) -> None:
         """Print a failure and the expected duration; advance the bar, or print a line.
@@ -135,24 +145,24 @@ class StudyProgress(_TrialsBar):
         The expected duration is printed once. Without a bar, about LINES lines are printed in all.
         """
         if ending.failure:
-            self._say(f"failed: {ending.task.arm}/{ending.task.trial}: {ending.failure}")
+            self._print_line(f"failed: {ending.task.arm}/{ending.task.trial}: {ending.failure}")
         if ending.result is not None:
-            self._results += 1
-        enough = self._results >= RESULTS_TO_EXPECT and ending.every_arm
-        if enough and not (self._expected or self._quiet):
-            self._expected = True
+            self._result_count += 1
+        can_estimate = self._result_count >= RESULTS_TO_ESTIMATE and ending.every_arm
+        if can_estimate and not (self._is_estimate_printed or self._quiet):
+            self._is_estimate_printed = True
             if ending.left_s:
-                by = f"estimated from the first {self._results} trials"
-                self._say(f"expected duration {duration(ending.left_s)}, {by}")
-        lines_before = self._lines()
-        self._advance(_left(ending))
-        if self._lines() > lines_before and not (self._bar or self._quiet):
-            words = (f"{self._done} of {self._total} trials", _left(ending))
-            self._say(", ".join(filter(None, words)))
+                basis = f"estimated from the first {self._result_count} trials"
+                self._print_line(f"expected duration {duration(ending.left_s)}, {basis}")
+        lines_before = self._lines_due()
+        self._advance(_remaining_time(ending))
+        if self._lines_due() > lines_before and not (self._bar or self._quiet):
+            parts = (f"{self._ended_count} of {self._trial_count} trials", _remaining_time(ending))
+            self._print_line(", ".join(filter(None, parts)))
 
-    def _lines(self) -> int:
-        """Return how many of the LINES should have been printed after the trials so far."""
-        return self._done * LINES // self._total
+    def _lines_due(self) -> int:
+        """Compute how many of the STUDY_LINES should have been printed after the trials so far."""
+        return self._ended_count * STUDY_LINES // self._trial_count
 
 
 def progress_of_script(total: int) -> RunObserver:
@@ -167,28 +177,32 @@ def progress_of_script(total: int) -> RunObserver:
 class ScriptProgress(RunObserver):
     """The progress of trials in a script, printed to stderr as lines.
 
-    It is a `RunObserver`. At most every PAUSE_S, it prints how many of `total` trials have ended
-    and how long the others will take. `now_s` returns the time [s].
+    At most every LINE_INTERVAL_S, it prints how many trials have ended, and how long the others
+    will take.
+
+    Args:
+        total: Number of trials.
+        now_s: Returns the time [s].
     """
 
     def __init__(self, total: int, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._total = total
+        self._trial_count = total
         self._now_s = now_s
-        self._done = 0
-        self._said_s = now_s()
+        self._ended_count = 0
+        self._printed_s = now_s()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Count a trial that has ended, and print a line if the last one was PAUSE_S ago.
+        """Count a trial that has ended, and print a line to stderr.
 
-        It is printed to stderr.
+        No line is printed within LINE_INTERVAL_S of the last one.
         """
-        self._done += 1
+        self._ended_count += 1
         now_s = self._now_s()
-        if now_s - self._said_s < PAUSE_S:
+        if now_s - self._printed_s < LINE_INTERVAL_S:
             return
-        self._said_s = now_s
-        words = [f"{self._done} of {self._total} trials", _left(ending)]
-        print("; ".join(filter(None, words)), file=sys.stderr, flush=True)
+        self._printed_s = now_s
+        parts = [f"{self._ended_count} of {self._trial_count} trials", _remaining_time(ending)]
+        print("; ".join(filter(None, parts)), file=sys.stderr, flush=True)
 
 
 class NotebookProgress(RunObserver):
@@ -206,9 +220,9 @@ class NotebookProgress(RunObserver):
         display: Callable[..., Any],
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._total = total
+        self._trial_count = total
         self._now_s = now_s
-        self._done = 0
+        self._ended_count = 0
         self._left = ""
         self._shown_s = now_s()
         self._output = display(self, display_id=True)
@@ -216,32 +230,34 @@ class NotebookProgress(RunObserver):
     def trial_ended(self, ending: Ending) -> None:
         """Count a trial that has ended, and change the bar.
 
-        The bar changes at most every BAR_PAUSE_S, and when all trials have ended.
+        The bar changes at most every BAR_INTERVAL_S, and when all trials have ended.
         """
-        self._done += 1
-        self._left = _left(ending)
+        self._ended_count += 1
+        self._left = _remaining_time(ending)
         now_s = self._now_s()
-        if self._done == self._total or now_s - self._shown_s >= BAR_PAUSE_S:
+        if self._ended_count == self._trial_count or now_s - self._shown_s >= BAR_INTERVAL_S:
             self._shown_s = now_s
             self._output.update(self)
 
     def __repr__(self) -> str:
-        words = [f"{self._done} of {self._total} trials"]
-        if self._done < self._total:
-            words.append(self._left)
-        return "; ".join(filter(None, words))
+        parts = [f"{self._ended_count} of {self._trial_count} trials"]
+        if self._ended_count < self._trial_count:
+            parts.append(self._left)
+        return "; ".join(filter(None, parts))
 
     def _repr_html_(self) -> str:
-        return f'<progress value="{self._done}" max="{self._total}"></progress> {self!r}'
+        return (
+            f'<progress value="{self._ended_count}" max="{self._trial_count}"></progress> {self!r}'
+        )
 
 
-def _left(ending: Ending) -> str:
-    """Estimate, as text, how long the remaining trials will take. Empty if that is unknown."""
+def _remaining_time(ending: Ending) -> str:
+    """Describe how long the remaining trials will take, or return "" if that is unknown."""
     return "" if ending.left_s is None else f"{duration(ending.left_s)} left"
 
 
 def trial_line(task: Task, result: Result, unit: str) -> str:
-    """Return a line about a finished trial.
+    """Format the line about a finished trial.
 
     Args:
         task: The trial.
@@ -249,17 +265,20 @@ def trial_line(task: Task, result: Result, unit: str) -> str:
         unit: The experiment's length unit.
     """
     entered = ", entered an obstacle" if result.entered_obstacle else ""
-    why = f" ({result.reason})" if result.outcome == "aborted" else ""
+    reason = f" ({result.reason})" if result.outcome == "aborted" else ""
     return (
-        f"trial {task.trial + 1} of {task.count}: {result.outcome}{why}, total error "
+        f"trial {task.trial + 1} of {task.count}: {result.outcome}{reason}, total error "
         f"{result.total_error:.1f} {unit}, {result.steps} steps, {result.duration_s:.1f} s{entered}"
     )
 
 
 def duration(seconds: float) -> str:
-    """Return a time [s], rounded to whole seconds, as text such as 45 s, 3 min 20 s or 2 h 5 min.
+    """Format a time, rounded to whole seconds, for example as 45 s, 3 min 20 s or 2 h 5 min.
 
-    Seconds are left out from one hour on. A negative time counts as 0.
+    From one hour on, seconds are left out.
+
+    Args:
+        seconds: The time [s]. A negative time counts as 0.
     """
     whole_s = max(round(seconds), 0)
     if whole_s < 60:

@@ -15,7 +15,7 @@ from tetractl.core.plan import State
 from tetractl.tools.table.table import create_length_format
 from tetractl.view.plan_words import doing, search_end
 from tetractl.view.player import Playback, Player, Recording
-from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
+from tetractl.view.terminal.dashboard import Dashboard, Footer, fill_rows, fit_line
 from tetractl.view.terminal.keys import Keyboard
 from tetractl.view.terminal.screen import Screen
 
@@ -64,7 +64,7 @@ def play_trials(
     drawn = None
     screen = Screen(console)
     # the keyboard is the outer context: no signal interrupts before the screen is restored
-    with Keyboard(leave=screen.close, back=screen.open) as keyboard, screen:
+    with Keyboard(on_leave=screen.close, on_return=screen.open) as keyboard, screen:
         while player.state is not Playback.QUIT:
             player.update()
             # what a picture depends on: while it is the same, nothing is drawn
@@ -134,7 +134,7 @@ class Help:
         while len(lines) < height:
             lines.append(Text())
         lines = lines[:height]
-        yield from printed([fitted(console, line, width) for line in lines], width)
+        yield from fill_rows([fit_line(console, line, width) for line in lines], width)
 
 
 def print_lines(

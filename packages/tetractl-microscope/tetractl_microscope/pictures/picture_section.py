@@ -49,7 +49,7 @@ class PictureSource(Model):
 
         A source that cannot be opened is not checked further.
         """
-        from tetractl_testing.expect import expect, true
+        from tetractl_testing.expect import expect, expect_true
 
         clock = MonotonicClock()
         try:
@@ -64,19 +64,19 @@ class PictureSource(Model):
             feed.close()
         times = [reading.received_ns for reading in readings]
         rise = times == sorted(set(times)) and times[-1] <= clock.now()
-        true("read: times rise, on the clock given", rise, str(times))
+        expect_true("read: times rise, on the clock given", rise, str(times))
         jpeg = [
             isinstance(reading.content, bytes) or reading.content.dtype == np.uint8
             for reading in readings
         ]
-        true("read: JPEG bytes, or pixels of 8 bits", jpeg)
+        expect_true("read: JPEG bytes, or pixels of 8 bits", jpeg)
         shapes = [
             np.shape(reading.content)
             for reading in readings
             if not isinstance(reading.content, bytes)
         ]
         right = [len(shape) == 2 or (len(shape) == 3 and shape[2] == 3) for shape in shapes]
-        true("read: pixels (height, width) or (height, width, 3)", right)
+        expect_true("read: pixels (height, width) or (height, width, 3)", right)
 
 
 class DeviceSource(PictureSource):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit.plants import sim
 from testkit.trials import THREE_M3PI, experiment
-from tetractl_papers.rrt import RrtSection, grow
+from tetractl_papers.rrt import RrtSection, grow_tree
 
 from tetractl.control.search.rng import uniform
 from tetractl.core.clock import SECOND
@@ -28,7 +28,7 @@ def path(key, margin=30.0, draws=3000):
     setup = experiment().setup
     region = Obstacles.from_shapes(setup.obstacles, margin, setup.arena)
     rows = uniform(key, 0, 3 * draws).reshape(-1, 3)
-    return region, grow(region, setup.arena, START, TARGET, 120.0, rows)
+    return region, grow_tree(region, setup.arena, START, TARGET, 120.0, rows)
 
 
 @given(st.integers(0, 2**64 - 1))
@@ -45,7 +45,7 @@ def test_there_may_be_no_path():
     wall = Circle(type="circle", center=(1700, 1200), radius=150).shape()
     region = Obstacles.from_shapes([wall])
     rows = uniform(1, 0, 3 * 500).reshape(-1, 3)
-    assert grow(region, setup.arena, START, TARGET, 120.0, rows) is None
+    assert grow_tree(region, setup.arena, START, TARGET, 120.0, rows) is None
 
 
 def drive(key, fields=None, **plant):
@@ -97,7 +97,7 @@ THERE = np.array([800.0, 500.0])
 
 
 def grown(draws, target=THERE, edge=100.0, region=EMPTY):
-    return grow(region, ARENA, HERE, target, edge, np.array(draws, dtype=float))
+    return grow_tree(region, ARENA, HERE, target, edge, np.array(draws, dtype=float))
 
 
 def test_a_target_within_an_edge_is_reached_by_the_first_node():

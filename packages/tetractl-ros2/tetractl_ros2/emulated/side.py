@@ -33,7 +33,7 @@ BATTERY_NS = SECOND // 2
 """Time between two messages of a battery [ns]."""
 NO_WATCHDOG_S = 1e6
 """Watchdog time of robots without a watchdog [s]: longer than any run."""
-NOT_OF_DDS = (
+FAULTS_WITHOUT_MEANING = (
     *("baud", "bad_bytes", "overtaken_packets", "doubled_packets"),  # DDS numbers and checks
     *("stopped_elsewhere", "low_battery"),  # not every robot has these topics
 )
@@ -74,10 +74,10 @@ class EmergencyStop(OwnRadio):
 
         False, and a message that cannot be read, are ignored.
         """
-        asked = False
+        is_stop = False
         with suppress(*UNREADABLE):
-            asked = Bool.deserialize(data).data
-        if asked:
+            is_stop = Bool.deserialize(data).data
+        if is_stop:
             for robot in self._side.robots:
                 assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"
                 robot.core.is_emergency_stopped = robot.core.is_emergency_stopped or robot.powered
@@ -90,7 +90,7 @@ class EmulatedRos2Robots(PortedSide):
     """Robots that subscribe to the topics of a `Ros2Section`."""
 
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
-        kind for kind in WHEELED_FAULTS if kind.__name__ not in NOT_OF_DDS
+        kind for kind in WHEELED_FAULTS if kind.__name__ not in FAULTS_WITHOUT_MEANING
     )
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
@@ -99,9 +99,9 @@ class EmulatedRos2Robots(PortedSide):
         commands = command_topics(section, stage.setup, publishes=False)
         batteries = battery_topics(section, stage.setup, publishes=True)
         emergency = emergency_topic(section, publishes=False)
-        known = [topic for topic in (*commands, *batteries, emergency) if topic is not None]
+        topics = [topic for topic in (*commands, *batteries, emergency) if topic is not None]
         domain = section.domain
-        stage = on_topics(stage, domain, known)
+        stage = on_topics(stage, domain, topics)
         self._watchdog_s = section.stops_after or NO_WATCHDOG_S
         self._message = COMMANDS[section.message]
         self._setup = stage.setup
@@ -127,34 +127,34 @@ class EmulatedRos2Robots(PortedSide):
         """
         decoded: Any = self._message.deserialize(message)
         if isinstance(decoded, Vector3Stamped):
-            speed, turning = self._steered(decoded.vector, row)
+            speed, turning = self._steer(decoded.vector, row)
         else:
             twist = decoded if isinstance(decoded, Twist) else decoded.twist
             speed = twist.linear.x * 1000
             turning = twist.angular.z
-        rim = turning * float(self.radii[row])
+        wheel_offset = turning * float(self.radii[row])
         unit_mm = Ros2Section.unit_mm
-        return round((speed - rim) / unit_mm), round((speed + rim) / unit_mm)
+        return round((speed - wheel_offset) / unit_mm), round((speed + wheel_offset) / unit_mm)
 
-    def _steered(self, vector: Vector3, row: int) -> tuple[float, float]:
+    def _steer(self, vector: Vector3, row: int) -> tuple[float, float]:
         """Compute the speed [mm/s] and turning rate [rad/s] of a robot that steers itself.
 
         Both are 0 if the vector's x and y are 0. The speed is 0 if its z is not 0.
         """
         if not math.hypot(vector.x, vector.y):
             return 0.0, 0.0
-        ahead = math.atan2(vector.y, vector.x) - self.robots[row].heading
+        to_direction = math.atan2(vector.y, vector.x) - self.robots[row].heading
         speed = 0.0 if vector.z else float(self._setup.speed[row]) * self._setup.metres * 1000
-        return speed, float(self._setup.a[row]) * math.sin(ahead)
+        return speed, float(self._setup.a[row]) * math.sin(to_direction)
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
         """Create the robot in a row of the setup, with its driver; see `PortedSide.make_robot`."""
-        make: Callable[[int], TwistProgram] = partial(self._program, battery_mv)
-        return EmulatedRobot(name, row, battery_mv, make, acting)
+        make_program: Callable[[int], TwistProgram] = partial(self._make_program, battery_mv)
+        return EmulatedRobot(name, row, battery_mv, make_program, acting)
 
-    def _program(self, battery_mv: int, index: int) -> TwistProgram:
+    def _make_program(self, battery_mv: int, index: int) -> TwistProgram:
         read = partial(self.read, row=index)
         return TwistProgram(read, self._watchdog_s, battery_mv)
 

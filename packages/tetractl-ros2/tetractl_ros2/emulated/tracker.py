@@ -35,10 +35,10 @@ from tetractl_ros2.topics import emulated_topic, pose_topics
 EPOCH_NS = 1_700_000_000 * SECOND
 """Time that the tracker's clock shows when the emulation's clock shows 0 [ns].
 
-The two differ, as the clocks of two computers do.
+The two clocks differ, like the clocks of two computers.
 """
-MARKED = Bool(data=True).serialize()
-"""Message that states that the tracker is not real."""
+EMULATED_MARK = Bool(data=True).serialize()
+"""The message that says that the tracker is emulated."""
 
 
 class EmulatedTracker(PoseStream):
@@ -83,7 +83,7 @@ class EmulatedTracker(PoseStream):
 
         Untracked robots are left out.
         """
-        return self._message(shot, [body for body in shot.bodies if body.tracking_valid])
+        return self._encode_message(shot, [body for body in shot.bodies if body.tracking_valid])
 
     def _stream(self, frame: Shot, now_ns: int) -> None:
         """Publish a frame as one message for all robots, or as a message on each robot's topic.
@@ -91,41 +91,43 @@ class EmulatedTracker(PoseStream):
         Robots that are not tracked are left out. `now_ns` is not used.
         """
         self.frames += 1
-        self._marker.write(MARKED)
+        self._marker.write(EMULATED_MARK)
         if len(self._ports) == 1 and len(frame.bodies) > 1:
             self._ports[0].write(self.packed(frame))
             return
         for body in frame.bodies:
             if body.tracking_valid:
-                self._ports[body.id].write(self._message(frame, [body]))
+                self._ports[body.id].write(self._encode_message(frame, [body]))
 
-    def _message(self, shot: Shot, shown: Sequence[RigidBody]) -> bytes:
-        """Encode a message with these bodies, in the section's frame.
+    def _encode_message(self, shot: Shot, bodies: Sequence[RigidBody]) -> bytes:
+        """Encode a message with the poses of bodies, in the section's coordinate frame.
 
-        Its time stamp is the exposure's time after EPOCH_NS.
+        Its time stamp is the time of exposure, counted from EPOCH_NS.
         """
         sec, nanosec = divmod(EPOCH_NS + shot.exposed_ns, SECOND)
         header = Header(Time(sec, nanosec), self.pose_section.frame)
-        return self._packed(header, shown).serialize()
+        return self._make_message(header, bodies).serialize()
 
-    def _packed(self, header: Header, shown: Sequence[RigidBody]) -> Any:
+    def _make_message(self, header: Header, bodies: Sequence[RigidBody]) -> Any:
         match self.pose_section.message:
             case "TFMessage":
-                transforms: Any = [self._transform(header, body) for body in shown]
+                transforms: Any = [self._make_transform(header, body) for body in bodies]
                 return TFMessage(transforms)
             case "NamedPoseArray":
-                poses: Any = [NamedPose(self._bodies[body.id], _pose(body)) for body in shown]
+                poses: Any = [
+                    NamedPose(self._bodies[body.id], _pose_message(body)) for body in bodies
+                ]
                 return NamedPoseArray(header, poses)
             case "PoseStamped":
-                return PoseStamped(header, _pose(shown[0]))
+                return PoseStamped(header, _pose_message(bodies[0]))
             case "Odometry":
-                child = self._bodies[shown[0].id]
-                return Odometry(header, child, PoseWithCovariance(_pose(shown[0])))
+                child = self._bodies[bodies[0].id]
+                return Odometry(header, child, PoseWithCovariance(_pose_message(bodies[0])))
 
-    def _transform(self, header: Header, body: RigidBody) -> TransformStamped:
+    def _make_transform(self, header: Header, body: RigidBody) -> TransformStamped:
         transform = Transform(Vector3(*body.position), Quaternion(*body.quaternion))
         return TransformStamped(header, self._bodies[body.id], transform)
 
 
-def _pose(body: RigidBody) -> PoseMessage:
+def _pose_message(body: RigidBody) -> PoseMessage:
     return PoseMessage(Point(*body.position), Quaternion(*body.quaternion))

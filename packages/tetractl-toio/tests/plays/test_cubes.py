@@ -78,7 +78,7 @@ def test_cubes_that_are_carried_read_no_mat(folder):
 
         def readings():
             for cube in mat.cubes:
-                cube.program.asked = True
+                cube.program.is_asked = True
             lab.clock.sleep_until(lab.clock.now() + SECOND // 20)
             return [*mat.last]
 
@@ -190,7 +190,7 @@ def test_a_cube_obeys_until_its_command_ends_and_ignores_what_it_should():
     answers = cube.take_reply(0)
     assert answers.startswith(pack(Characteristic.BATTERY, b"\x00"))
     assert answers.endswith(pack(Characteristic.CONFIGURATION, b"\x98\x00\x00"))
-    assert cube.notifies and cube.take_reply(0) == b""
+    assert cube.is_notifying and cube.take_reply(0) == b""
 
 
 @pytest.mark.long

@@ -108,31 +108,31 @@ def test_the_charge_follows_the_voltage_and_is_answered_when_asked(battery_mv, c
 
 def test_a_cube_that_is_set_to_notify_says_so_and_that_it_is_emulated():
     program = CubeProgram()
-    assert not program.notifies
+    assert not program.is_notifying
     for setting, echo in ((NOTIFY_READINGS, 0x98), (NOTIFY_MISSED, 0x99)):
         program.push(pack(Characteristic.CONFIGURATION, setting), 0)
         (first, name), (second, answer) = answers(program)
         assert (first, second) == (Characteristic.EMULATED, Characteristic.CONFIGURATION)
         assert name
         assert answer == bytes([echo, 0, 0])
-    assert program.notifies
+    assert program.is_notifying
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x05\x00\x01"])
 def test_other_settings_are_ignored(payload):
     program = CubeProgram()
     program.push(pack(Characteristic.CONFIGURATION, payload), 0)
-    assert not program.notifies
+    assert not program.is_notifying
     assert answers(program) == []
 
 
 def test_only_a_message_without_data_asks():
     program = CubeProgram()
     program.push(pack(Characteristic.ID, b"\x01") + pack(Characteristic.BATTERY, b"\x01"), 0)
-    assert not program.asked
+    assert not program.is_asked
     assert answers(program) == []
     program.push(pack(Characteristic.ID), 0)
-    assert program.asked
+    assert program.is_asked
 
 
 class Cube:

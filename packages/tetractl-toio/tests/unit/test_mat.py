@@ -42,7 +42,7 @@ class Mat:
 
     def notify(self, on=True):
         for cube in self.cubes:
-            cube.program.notifies = on
+            cube.program.is_notifying = on
 
     def run(self, ms):
         self.lab.clock.sleep_until(self.lab.clock.now() + ms * MILLISECOND)
@@ -82,7 +82,7 @@ def test_a_cube_reports_its_place_every_10_ms_once_it_is_told_to(mat):
 
 
 def test_a_cube_that_is_asked_reports_once(mat):
-    mat.cubes[1].program.asked = True
+    mat.cubes[1].program.is_asked = True
     mat.run(100)
     assert mat.reported == [[], [mat.truth(1)], []]
     assert mat.age_ms(0) > 50
@@ -97,7 +97,7 @@ def test_a_cube_off_the_mat_says_so_once_and_when_it_is_asked(mat):
     assert mat.reported[0][count:] == [None]
     assert mat.age_ms(0) > 280
     assert mat.age_ms(1) <= 21
-    mat.cubes[0].program.asked = True
+    mat.cubes[0].program.is_asked = True
     mat.run(100)
     assert mat.reported[0][count:] == [None, None]
     mat.acting.remove(hidden)

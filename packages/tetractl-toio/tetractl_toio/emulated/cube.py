@@ -21,10 +21,14 @@ from tetractl.model.wheels import Counts
 from tetractl_toio.cubes import SPEED
 from tetractl_toio.messages import SPEED_MIN, Characteristic, Unpacker, decode_motor, pack
 
-RUN = 1  # flag of a command in the record
-STOP = 2  # the same: a cube knows no further stop than speeds 0 and 0
-EMPTY_MV = 4400  # guess: of the emulated battery
-FULL_MV = 5100  # guess
+RUN = 1
+"""Flag of a command in the record that turns a motor."""
+STOP = 2
+"""Flag of a command in the record that stops both motors. A cube has no other kind of stop."""
+EMPTY_MV = 4400
+"""Voltage of the emulated battery when it is empty [mV]. It is a guess."""
+FULL_MV = 5100
+"""Voltage of the emulated battery when it is full [mV]. It is a guess."""
 
 
 READING_SETTINGS = (b"\x18", b"\x19")
@@ -39,18 +43,18 @@ class CubeProgram:
         self._answers = b""
         self._speeds: Counts = (0, 0)
         self._ends_ms: int | None = None
-        self._silent = True  # no command acts: the last one ended by itself
-        self.notifies = False  # whether it reports its reading
-        self.asked = False  # whether it has been asked for it
+        self._is_silent = True  # no command acts, because the last one ended by itself
+        self.is_notifying = False  # the cube reports each reading
+        self.is_asked = False  # a program has asked for one reading
         self.charge = 100
 
     def push(self, data: bytes, now_ms: int) -> None:
         """Process received messages. Invalid messages are ignored, as a real cube does."""
         for characteristic, payload in self._unpacker.feed(data):
             if characteristic == Characteristic.MOTOR:
-                self._motor(payload, now_ms)
+                self._run_motors(payload, now_ms)
             elif characteristic == Characteristic.ID and not payload:
-                self.asked = True
+                self.is_asked = True
             elif characteristic == Characteristic.BATTERY and not payload:
                 self._answers += pack(Characteristic.BATTERY, bytes([self.charge]))
             elif characteristic == Characteristic.CONFIGURATION:
@@ -63,7 +67,7 @@ class CubeProgram:
         """
         if payload[:1] not in READING_SETTINGS:
             return
-        self.notifies = True
+        self.is_notifying = True
         is_set = bytes([0x80 | payload[0], 0, 0])
         self._answers += pack(Characteristic.EMULATED, EMULATED_NAME.encode())
         self._answers += pack(Characteristic.CONFIGURATION, is_set)
@@ -76,7 +80,7 @@ class CubeProgram:
         if self._ends_ms is not None and now_ms >= self._ends_ms:
             self._speeds = (0, 0)
             self._ends_ms = None
-            self._silent = True
+            self._is_silent = True
         return self._speeds
 
     def status(self, now_ms: int) -> Status:
@@ -87,7 +91,7 @@ class CubeProgram:
             0.
         """
         running = any(self.wheels(now_ms))
-        if self._silent:
+        if self._is_silent:
             return Status.SILENT
         return Status.RUNNING if running else Status(0)
 
@@ -99,10 +103,10 @@ class CubeProgram:
 
     def set_battery(self, battery_mv: int) -> None:
         """Set the battery's charge from its voltage [mV], in steps of 10 % from 0 to 100 %."""
-        share = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
-        self.charge = max(0, min(100, 10 * round(10 * share)))
+        fraction = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
+        self.charge = max(0, min(100, 10 * round(10 * fraction)))
 
-    def _motor(self, payload: bytes, now_ms: int) -> None:
+    def _run_motors(self, payload: bytes, now_ms: int) -> None:
         """Execute a motor command, which ends after its duration [ms] or never if that is 0.
 
         An invalid command is ignored.
@@ -111,12 +115,12 @@ class CubeProgram:
             command = decode_motor(payload)
         except WireError:
             return
-        self._speeds = (_turning(command.left), _turning(command.right))
-        self._silent = False
+        self._speeds = (_turning_speed(command.left), _turning_speed(command.right))
+        self._is_silent = False
         self._ends_ms = now_ms + command.duration_ms if command.duration_ms else None
 
 
-def _turning(speed: int) -> int:
+def _turning_speed(speed: int) -> int:
     """Return the speed at which a motor turns for a commanded speed: 0 below SPEED_MIN."""
     return speed if abs(speed) >= SPEED_MIN else 0
 
@@ -135,7 +139,7 @@ class Connection(RobotRadio):
         interval_ns: Time between two connection events [ns].
         phase_ns: Time from now until the first event [ns].
         loss: Probability that a transfer is lost.
-        seed: Seed of what is lost or late.
+        seed: Seed of the random numbers that decide which transfers are lost or late.
     """
 
     def __init__(
@@ -154,10 +158,10 @@ class Connection(RobotRadio):
         self._robots = robots
         self._interval_ns = interval_ns
         self._written = list[bytes]()
-        self._noted = list[tuple[bytes, Any]]()
-        self._witnessing = Unpacker()
-        self._heard_ns = 0
-        self._timeline.at(self._timeline.now_ns + phase_ns, self._event)
+        self._notifications = list[tuple[bytes, Any]]()
+        self._record_unpacker = Unpacker()
+        self._received_ns = 0
+        self._timeline.at(self._timeline.now_ns + phase_ns, self._exchange)
 
     def hear(self, data: bytes) -> None:
         """Queue bytes that a program has written.
@@ -166,42 +170,42 @@ class Connection(RobotRadio):
         """
         self._written += [data] * self.times
 
-    def notify(self, message: bytes, passed: Any) -> None:
+    def notify(self, message: bytes, on_sent: Any) -> None:
         """Queue a reading of the cube, which is sent at the next connection event.
 
         Args:
             message: The packed notification.
-            passed: Called without arguments when this reading is sent. Not called if the reading is
-                lost, or if a newer reading is sent at the same event.
+            on_sent: Called without arguments when this reading is sent. It is not called if the
+                reading is lost, or if a newer reading is sent at the same event.
         """
-        self._noted.append((message, passed))
+        self._notifications.append((message, on_sent))
 
     def poll_answers(self) -> None:
         """Do nothing: answers are sent at the connection events."""
 
-    def _event(self) -> None:
+    def _exchange(self) -> None:
         """Transfer the waiting data in both directions, and schedule the next connection event."""
         written = self._written
         self._written = []
-        noted = self._noted
-        self._noted = []
-        chance = self._random
+        notifications = self._notifications
+        self._notifications = []
+        random = self._random
         now_ns = self._timeline.now_ns
         for data in written:
-            if chance.random() >= self.loss_to(self.robot.name):
+            if random.random() >= self.loss_to(self.robot.name):
                 # a connection keeps the order of what it passes on
-                late_ns = self.late_ns() + self.robot.late_ns
-                self._heard_ns = max(self._heard_ns, now_ns + late_ns)
-                self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
+                delay_ns = self.late_ns() + self.robot.late_ns
+                self._received_ns = max(self._received_ns, now_ns + delay_ns)
+                self._timeline.at(self._received_ns, lambda data=data: self.robot.hear(data))
         if self.port.fd >= 0 and not self.is_down and self.robot.powered:
-            passed = [note for note in noted if chance.random() >= self.loss_to()]
-            data = b"".join(message for message, _ in passed) + self.robot.answer()
+            delivered = [note for note in notifications if random.random() >= self.loss_to()]
+            data = b"".join(message for message, _ in delivered) + self.robot.answer()
             if data:
                 self.port.write(data)
-            if passed:  # only the newest reading of an event counts
-                _, report = passed[-1]
-                report()
-        self._timeline.at(now_ns + self._interval_ns, self._event)
+            if delivered:  # only the newest reading of an event counts
+                _, on_sent = delivered[-1]
+                on_sent()
+        self._timeline.at(now_ns + self._interval_ns, self._exchange)
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         """Describe a motor command for the record: its flags, motor speeds and driven robots."""
@@ -213,7 +217,7 @@ class Connection(RobotRadio):
 
     def _witness(self, data: bytes) -> None:
         """Record the motor commands that a program has written, even if they are lost later."""
-        for characteristic, payload in self._witnessing.feed(data):
+        for characteristic, payload in self._record_unpacker.feed(data):
             if characteristic == Characteristic.MOTOR:
                 self._note_commands([payload])
 

@@ -124,15 +124,15 @@ class EmulatedMat:
         if self.acting.of_kind("no_frames"):
             self._stage.sent(self._exposures)  # so that the fault is recorded without a report
             return
-        if not (program.notifies or program.asked):
+        if not (program.is_notifying or program.is_asked):
             return
         present = self._reading(cube)
         if not self.acting.of_kind("freeze"):
             self.last[i] = present
         newest = self.last[i]
-        if newest is None and last is None and not program.asked:
+        if newest is None and last is None and not program.is_asked:
             return  # that it sees no mat it says once, and when it is asked
-        program.asked = False
+        program.is_asked = False
         message = pack(Characteristic.ID, encode_reading(newest))
         at_ns = timeline.now_ns
         # a frozen reading of a cube that stands is as good as a new one

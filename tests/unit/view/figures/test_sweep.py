@@ -5,7 +5,7 @@ import pytest
 from testkit.drawn import lines
 
 from tetractl.statistics.estimate import ArmErrors
-from tetractl.view.figures.sweep import errors_by
+from tetractl.view.figures.sweep import study_errors_figure
 
 pytestmark = pytest.mark.slow
 
@@ -17,7 +17,7 @@ def arm(value, scale=1.0, arms=1, errors=ERRORS):
 
 
 def figure_of(curves, field="x", only=True):
-    (axes,) = errors_by(curves, field, "mm", only).axes
+    (axes,) = study_errors_figure(curves, field, "mm", only).axes
     return axes
 
 

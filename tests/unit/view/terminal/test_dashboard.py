@@ -16,7 +16,7 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
 from tetractl.view.player import Moment, Player, Recording, span
-from tetractl.view.terminal.dashboard import Dashboard, Footer, _end_lines, _number
+from tetractl.view.terminal.dashboard import Dashboard, Footer, _end_lines, _format_length
 from tetractl.view.terminal.replay_screen import dashboard, step_line
 from tetractl.view.terminal.screen import shows_pictures
 
@@ -214,4 +214,4 @@ def test_robots_for_which_there_is_no_line_are_described_together(distances, hei
     ],
 )
 def test_a_length_has_three_digits_or_one_decimal(value, text):
-    assert _number(value) == text
+    assert _format_length(value) == text

@@ -16,10 +16,10 @@ from tetractl.core.trial import Verdict
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.progress import (
-    BAR_PAUSE_S,
-    LINES,
-    PAUSE_S,
-    RESULTS_TO_EXPECT,
+    BAR_INTERVAL_S,
+    LINE_INTERVAL_S,
+    RESULTS_TO_ESTIMATE,
+    STUDY_LINES,
     BatchProgress,
     NotebookProgress,
     ScriptProgress,
@@ -99,7 +99,7 @@ def test_a_study_prints_a_line_after_each_tenth_of_its_trials():
     endings = [ending(k, left_s=float(39 - k)) for k in range(40)]
     printed = lines_of(lambda console: StudyProgress(console, 40), endings)
     at = [k for k, lines in enumerate(printed) if any("of 40 trials" in line for line in lines)]
-    assert at == list(range(3, 40, 40 // LINES))
+    assert at == list(range(3, 40, 40 // STUDY_LINES))
     assert printed[3] == ["4 of 40 trials, 36 s left"]
 
 
@@ -111,13 +111,13 @@ def test_a_study_says_once_how_long_it_will_take_when_it_knows_of_every_arm():
         ]
 
     known = [ending(k, left_s=90.0) for k in range(9)]
-    first = RESULTS_TO_EXPECT - 1
-    text = f"expected duration 1 min 30 s, estimated from the first {RESULTS_TO_EXPECT} trials"
+    first = RESULTS_TO_ESTIMATE - 1
+    text = f"expected duration 1 min 30 s, estimated from the first {RESULTS_TO_ESTIMATE} trials"
     assert expected(known) == [(first, text)]
     failed = [ending(0, failure="x", left_s=90.0), *known]
     assert expected(failed) == [(first + 1, text)]
     late = [replace(one, every_arm=k >= 5) for k, one in enumerate(known)]
-    assert expected(late) == [(5, text.replace(f"first {RESULTS_TO_EXPECT}", "first 6"))]
+    assert expected(late) == [(5, text.replace(f"first {RESULTS_TO_ESTIMATE}", "first 6"))]
     nothing_left = [ending(k, left_s=0.0) for k in range(9)]
     assert expected(nothing_left) == []
 
@@ -133,12 +133,12 @@ def test_a_script_prints_at_most_every_ten_seconds(capsys):
     clock = HandTimer(50.0)
     progress = ScriptProgress(5, clock)
     printed = []
-    for after_s in (PAUSE_S - 0.1, 0.1, PAUSE_S - 0.1, 0.1):
+    for after_s in (LINE_INTERVAL_S - 0.1, 0.1, LINE_INTERVAL_S - 0.1, 0.1):
         clock.now_s += after_s
         progress.trial_ended(ending(left_s=61.0))
         printed.append(capsys.readouterr().err)
     assert printed == ["", "2 of 5 trials; 1 min 1 s left\n", "", "4 of 5 trials; 1 min 1 s left\n"]
-    clock.now_s += PAUSE_S
+    clock.now_s += LINE_INTERVAL_S
     progress.trial_ended(ending())
     assert capsys.readouterr().err == "5 of 5 trials\n"
 
@@ -158,7 +158,7 @@ def test_a_notebooks_bar_changes_now_and_then_and_at_the_end():
     output = Output()
     progress = NotebookProgress(4, lambda shown, display_id: output, clock)
     updates = []
-    for after_s in (BAR_PAUSE_S / 2, BAR_PAUSE_S, 0.0, 0.0):
+    for after_s in (BAR_INTERVAL_S / 2, BAR_INTERVAL_S, 0.0, 0.0):
         clock.now_s += after_s
         progress.trial_ended(ending(left_s=8.0))
         updates.append(output.updates)

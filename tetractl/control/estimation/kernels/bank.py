@@ -23,7 +23,11 @@ import math
 import numpy as np
 
 from tetractl.control.estimation.kernels.filter import is_none, likeliest
-from tetractl.control.estimation.kernels.filter_motion import advance, parameters_of, rolled
+from tetractl.control.estimation.kernels.filter_motion import (
+    advance,
+    arc_displacement,
+    parameters_of,
+)
 from tetractl.control.estimation.kernels.filter_state import (
     FINEST_STEP_S,
     FLOW_X,
@@ -557,7 +561,7 @@ def _come_to_rest(model, i, z):
     a, speed, _, _ = parameters_of(model, i, z)
     turn = z[LAG] * a * z[SWING]
     way = z[LAG] * speed * z[PACE]
-    dx, dy = rolled(z[HEADING], turn, way)
+    dx, dy = arc_displacement(z[HEADING], turn, way)
     z[X] += dx
     z[Y] += dy
     z[HEADING] += turn

@@ -56,16 +56,22 @@ from tetractl.control.estimation.kernels.filter_state import (
 )
 from tetractl.control.search.kernels.elementary import cos, exp, sin
 from tetractl.model.motion import exact, wheel_equations
-from tetractl.model.motion.turn_rate import RobotParameters, by_turning, held, times, turning
+from tetractl.model.motion.turn_rate import (
+    RobotParameters,
+    scale_derivatives,
+    turning,
+    turning_with_hold,
+    with_turning_derivatives,
+)
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 differentiate = inlined(exact.differentiate)
-rolled = inlined(wheel_equations.rolled)
+arc_displacement = inlined(wheel_equations.arc_displacement)
 turn_rate = inlined(turning)
-held_turn_rate = inlined(held)
-with_turning = inlined(by_turning)
-scaled = inlined(times)
+held_turn_rate = inlined(turning_with_hold)
+with_turning = inlined(with_turning_derivatives)
+scaled = inlined(scale_derivatives)
 
 STILL_PACE = 1e-3
 """Speed, as a fraction of v, below which a robot that was stopped counts as standing still."""
@@ -233,7 +239,7 @@ def _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t):
     turn_half = 0.5 * rest_turn + a * lag * (1 - decay_half) * (z[SWING] - wish)
     turn = rest_turn + a * lag * (1 - decay) * (z[SWING] - wish)
     distance = speed * (t * goal + lag * (1 - decay) * (z[PACE] - goal))
-    dx, dy = rolled(z[HEADING] + turn_half - 0.5 * turn, turn, distance)
+    dx, dy = arc_displacement(z[HEADING] + turn_half - 0.5 * turn, turn, distance)
     host_swing = z[HOST_SWING]
     z[SWING] = wish + decay * (z[SWING] - wish)
     z[PACE] = goal + decay * (z[PACE] - goal)

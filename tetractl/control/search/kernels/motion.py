@@ -25,15 +25,15 @@ from tetractl.model.motion.polynomials import onwards
 from tetractl.model.motion.turn_rate import (
     RobotParameters,
     all_in_rows,
-    by_turning,
     is_left,
     turning,
+    with_turning_derivatives,
 )
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
 
 rate = inlined(turning)
-with_turning = inlined(by_turning)
+with_turning = inlined(with_turning_derivatives)
 turns_left = inlined(is_left)
 
 

@@ -36,9 +36,9 @@ from testkit.emulator.virtual_lab import VirtualLab  # noqa: E402
 
 from tetractl.core.errors import AbortError  # noqa: E402
 
-ALL = (0, 1, 2)
-ONE = (0,)
-ENDS = {
+ALL_ROBOTS = (0, 1, 2)
+FIRST_ROBOT = (0,)
+ENDINGS = {
     "stopped": "another body|all robots drift|does not move|backward|the wrong way",
     "near something": "too close|about to leave|about to enter",
     "not noticed": "not noticed",
@@ -46,7 +46,7 @@ ENDS = {
 }
 """What the reason says first of a trial that was stopped while robots drove, ended because robots
 truly came near to another, the edge or an obstacle, or was noticed only when they stood."""
-NAMED = {
+CAUSES = {
     "camera": "all robots (drift together|are seen to move)",
     "radio": "is the radio slow",
     "numbers": "as the other is commanded",
@@ -54,7 +54,8 @@ NAMED = {
 }
 
 
-def spread(plays: int) -> list[float]:
+def spread_starts(plays: int) -> list[float]:
+    """Spread the times at which false poses begin evenly from 0.6 s to 2.1 s."""
     return [0.6 + 1.5 * k / max(1, plays - 1) for k in range(plays)]
 
 
@@ -75,35 +76,40 @@ def in_turn(plays: int) -> list[float]:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A row of the table: a kind of false pose, its robot, and the time at which it begins.
+class FalsePoseRow:
+    """A row of the table: a kind of false pose, and the runs that show it.
 
-    The time counts from the first command [s]. If no robot is named, each has the false pose in
-    turn. A run ends after `limit_s` [s] at the latest.
+    Attributes:
+        label: Name of the row.
+        kind: Kind of the false pose; see `testkit.emulator.ghosts`.
+        size: Size of the false pose, in the unit of its kind.
+        robots: Indices of the robots with a false pose. None for another robot in each run.
+        starts: Returns when the false poses of the runs begin, from the first command [s].
+        limit_s: Maximum duration of a run [s].
     """
 
-    what: str
+    label: str
     kind: str
     size: float = 0.0
-    who: Sequence[int] | None = None
+    robots: Sequence[int] | None = None
     starts: Callable[[int], list[float]] = in_turn
     limit_s: float = 60.0
 
     def line(self, plays: int, rate_hz: float) -> str:
         """Run the row's trials, and return its line of the table."""
-        ended = Counter[str]()
-        named = Counter[str]()
+        endings = Counter[str]()
+        causes = Counter[str]()
         ghosts = []
         for k, at_s in enumerate(self.starts(plays)):
-            ghost = Ghost(self.kind, self.size, self.who or (k % 3,), at_s, self.limit_s)
-            reason = self._reason(ghost, k, rate_hz)
+            ghost = Ghost(self.kind, self.size, self.robots or (k % 3,), at_s, self.limit_s)
+            reason = self._run_trial(ghost, k, rate_hz)
             ghosts.append(ghost)
-            ended[_first(ENDS, reason)] += 1
-            named[_first(NAMED, reason)] += 1
+            endings[_first_match(ENDINGS, reason)] += 1
+            causes[_first_match(CAUSES, reason)] += 1
         cells = (
-            self.what,
-            _counts(ended),
-            _counts(named),
+            self.label,
+            _format_counts(endings),
+            _format_counts(causes),
             f"{max(ghost.off_mm for ghost in ghosts):.0f}",
             f"{max(ghost.held_s for ghost in ghosts):.2f}",
             f"{max(ghost.rest_s for ghost in ghosts):.2f}",
@@ -112,40 +118,45 @@ class Shown:
         )
         return f"| {' | '.join(cells)} |"
 
-    def _reason(self, ghost: Ghost, trial: int, rate_hz: float) -> str:
+    def _run_trial(self, ghost: Ghost, trial: int, rate_hz: float) -> str:
         """Run a trial, and return why it was aborted or refused, or that it ended by itself."""
         is_radio = self.kind == "radio"
-        haunt = partial(slow_radio, delay_s=self.size) if is_radio else ghost.haunt
+        disturb = partial(slow_radio, delay_s=self.size) if is_radio else ghost.haunt
         try:
-            result = trial_of(haunt, trial, rate_hz)
+            result = trial_of(disturb, trial, rate_hz)
         except AbortError:
             return "refused"
         return "complete" if result.outcome.complete else result.reason
 
 
-def _first(patterns: dict[str, str], reason: str) -> str:
-    """Return the first name whose pattern matches a reason, or else how the trial ended."""
+def _first_match(patterns: dict[str, str], reason: str) -> str:
+    """Return the first name whose pattern matches a reason.
+
+    If no pattern matches, the result is "refused", "complete" or "other".
+    """
     matching = [name for name, pattern in patterns.items() if re.search(pattern, reason)]
     return (matching or [reason if reason in ("refused", "complete") else "other"])[0]
 
 
-def _counts(counter: Counter[str]) -> str:
+def _format_counts(counter: Counter[str]) -> str:
     return ", ".join(f"{count} {name}" for name, count in counter.most_common())
 
 
-def _slow(what: str, kind: str, size: float, who: Sequence[int] | None = None) -> list[Shown]:
+def _slow_rows(
+    label: str, kind: str, rate: float, robots: Sequence[int] | None = None
+) -> list[FalsePoseRow]:
     return [
-        Shown(f"{what}, {starts.__name__.replace('_', ' ')}", kind, size, who, starts)
+        FalsePoseRow(f"{label}, {starts.__name__.replace('_', ' ')}", kind, rate, robots, starts)
         for starts in (before_the_start, with_the_first_command, later)
     ]
 
 
 PARTS = {
     "shown": [
-        Shown("frozen, one", "frozen", 0.0, ONE, spread, 5.0),
-        Shown("frozen, all", "frozen", 0.0, ALL, spread, 5.0),
+        FalsePoseRow("frozen, one", "frozen", 0.0, FIRST_ROBOT, spread_starts, 5.0),
+        FalsePoseRow("frozen, all", "frozen", 0.0, ALL_ROBOTS, spread_starts, 5.0),
         *(
-            Shown(f"{kind}, {speed} m/s", kind, speed, ONE, spread, 5.0)
+            FalsePoseRow(f"{kind}, {speed} m/s", kind, speed, FIRST_ROBOT, spread_starts, 5.0)
             for kind in ("along", "against", "sideways", "heading", "curve")
             for speed in (0.05, 0.1, 0.2, 0.4)
         ),
@@ -154,41 +165,47 @@ PARTS = {
         *(
             row
             for rate in (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.6, 1.0, 1.25)
-            for row in _slow(f"turn, {rate} rad/s", "turn", rate)
+            for row in _slow_rows(f"turn, {rate} rad/s", "turn", rate)
         ),
-        *_slow("origin, 3 mm/s", "origin", 0.003, ALL),
-        *_slow("origin, 10 mm/s", "origin", 0.01, ALL),
-        *_slow("scale, 0.003 /s", "scale", 0.003, ALL),
-        *_slow("scale, 0.01 /s", "scale", 0.01, ALL),
+        *_slow_rows("origin, 3 mm/s", "origin", 0.003, ALL_ROBOTS),
+        *_slow_rows("origin, 10 mm/s", "origin", 0.01, ALL_ROBOTS),
+        *_slow_rows("scale, 0.003 /s", "scale", 0.003, ALL_ROBOTS),
+        *_slow_rows("scale, 0.01 /s", "scale", 0.01, ALL_ROBOTS),
     ],
     "slip": [
-        Shown(f"turn while driving, {rate} rad/s", "slip", rate, None, with_the_first_command)
+        FalsePoseRow(
+            f"turn while driving, {rate} rad/s", "slip", rate, None, with_the_first_command
+        )
         for rate in (0.1, 0.2)
     ],
     "culprits": [
-        Shown("the origin moves, 30 mm/s", "origin", 0.03, ALL),
-        Shown("the origin moves, 100 mm/s", "origin", 0.1, ALL),
-        Shown("the origin moves by 15 mm", "push", 0.015, ALL),
-        Shown("the origin moves by 25 mm", "push", 0.025, ALL),
-        Shown("the picture turns, 0.1 rad/s", "rotation", 0.1, ALL),
-        Shown("the radio is 0.35 s late", "radio", 0.35, ALL),
-        Shown("the radio is 0.5 s late", "radio", 0.5, ALL),
-        Shown("one pose turns, 0.3 rad/s", "turn", 0.3),
-        Shown("one pose turns, 0.6 rad/s", "turn", 0.6),
-        Shown("one pose moves along, 30 mm/s", "along", 0.03),
-        Shown("one pose moves sideways, 30 mm/s", "sideways", 0.03),
-        Shown("one pose moves by 4 mm each 0.5 s", "steps"),
-        Shown("one robot is pushed by 12 mm", "push", 0.012),
-        Shown("one robot is pushed by 15 mm", "push", 0.015),
-        Shown("one robot is pushed by 25 mm", "push", 0.025),
-        Shown("green and blue exchange numbers", NUMBERS, 0.0, (0, 1), with_the_first_command),
-        Shown("green and red exchange numbers", NUMBERS, 0.0, (0, 2), with_the_first_command),
-        Shown("blue and red exchange numbers", NUMBERS, 0.0, (1, 2), with_the_first_command),
+        FalsePoseRow("the origin moves, 30 mm/s", "origin", 0.03, ALL_ROBOTS),
+        FalsePoseRow("the origin moves, 100 mm/s", "origin", 0.1, ALL_ROBOTS),
+        FalsePoseRow("the origin moves by 15 mm", "push", 0.015, ALL_ROBOTS),
+        FalsePoseRow("the origin moves by 25 mm", "push", 0.025, ALL_ROBOTS),
+        FalsePoseRow("the picture turns, 0.1 rad/s", "rotation", 0.1, ALL_ROBOTS),
+        FalsePoseRow("the radio is 0.35 s late", "radio", 0.35, ALL_ROBOTS),
+        FalsePoseRow("the radio is 0.5 s late", "radio", 0.5, ALL_ROBOTS),
+        FalsePoseRow("one pose turns, 0.3 rad/s", "turn", 0.3),
+        FalsePoseRow("one pose turns, 0.6 rad/s", "turn", 0.6),
+        FalsePoseRow("one pose moves along, 30 mm/s", "along", 0.03),
+        FalsePoseRow("one pose moves sideways, 30 mm/s", "sideways", 0.03),
+        FalsePoseRow("one pose moves by 4 mm each 0.5 s", "steps"),
+        FalsePoseRow("one robot is pushed by 12 mm", "push", 0.012),
+        FalsePoseRow("one robot is pushed by 15 mm", "push", 0.015),
+        FalsePoseRow("one robot is pushed by 25 mm", "push", 0.025),
+        FalsePoseRow(
+            "green and blue exchange numbers", NUMBERS, 0.0, (0, 1), with_the_first_command
+        ),
+        FalsePoseRow(
+            "green and red exchange numbers", NUMBERS, 0.0, (0, 2), with_the_first_command
+        ),
+        FalsePoseRow("blue and red exchange numbers", NUMBERS, 0.0, (1, 2), with_the_first_command),
     ],
 }
 
 
-def alarms(first: int, trials: int, rate_hz: float) -> None:
+def print_alarms(first: int, trials: int, rate_hz: float) -> None:
     """Print each trial with a false alarm, and the maximum statistic of the drift check.
 
     A false alarm is a trial that did not end by itself, or in which a pose was refused.
@@ -200,7 +217,7 @@ def alarms(first: int, trials: int, rate_hz: float) -> None:
     """
     peak = 0.0
     labs: list[VirtualLab] = []
-    ended = Counter[str]()
+    endings = Counter[str]()
 
     def watch(lab: VirtualLab) -> None:
         labs.append(lab)
@@ -213,12 +230,12 @@ def alarms(first: int, trials: int, rate_hz: float) -> None:
     for trial in range(first, first + trials):
         result = trial_of(watch, trial, rate_hz)
         refusals = labs[-1].plant.rig.loop.guard.refusals
-        how = "complete" if result.outcome.complete else _first(ENDS, result.reason)
-        ended[how] += 1
+        ending = "complete" if result.outcome.complete else _first_match(ENDINGS, result.reason)
+        endings[ending] += 1
         if refusals or not result.outcome.complete:
             print(f"trial {trial}: {result.summary}, {refusals} poses refused", flush=True)
     last = first + trials - 1
-    print(f"trials {first} to {last}: {_counts(ended)}; greatest statistic {peak:.1f}")
+    print(f"trials {first} to {last}: {_format_counts(endings)}; greatest statistic {peak:.1f}")
 
 
 def main() -> None:
@@ -229,7 +246,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
     chosen = parser.parse_args()
     if chosen.part == "alarms":
-        alarms(chosen.first, chosen.plays, chosen.rate)
+        print_alarms(chosen.first, chosen.plays, chosen.rate)
         return
     print("| shown | ended | named | off [mm] | stop [s] | rest [s] | driven [mm] | later |")
     print(f"|---|---|---{'|--:' * 5}|")

@@ -20,7 +20,7 @@ from tetractl.core.setup import Setup
 
 CELLS = 200
 """Number of square cells along the longer side of the arena."""
-TOUCHING = 1e-6
+CLOSED_GAP = 1e-6
 """Width of the gaps that are closed, as a fraction of a cell's side.
 
 Obstacles may therefore touch a wall without leaving a gap.
@@ -53,11 +53,11 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
         walls: Whether robots must stay in the arena.
     """
     arena = setup.arena
-    side = max(arena.width, arena.height) / CELLS
-    x = _centres(arena.left, arena.width, side, walls)
-    y = _centres(arena.bottom, arena.height, side, walls)
+    cell_size = max(arena.width, arena.height) / CELLS
+    x = _cell_centres(arena.left, arena.width, cell_size, walls)
+    y = _cell_centres(arena.bottom, arena.height, cell_size, walls)
     depth = margin - clearance(setup, x[None, :], y[:, None], walls)
-    free = ~(depth >= (0.5 - TOUCHING) * side)  # a NaN depth blocks nothing
+    free = ~(depth >= (0.5 - CLOSED_GAP) * cell_size)  # a NaN depth blocks nothing
     if not walls:  # the outside counts as one free region
         free[[0, -1], :] = free[:, [0, -1]] = True
 
@@ -69,53 +69,60 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
         cells[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
         return cells
 
-    least = np.zeros(len(setup.targets))
+    distances_left = np.zeros(len(setup.targets))
     for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
         reached = connected(around(start), free)
         if reached.any() and not (reached & around(target)).any():
             rows, columns = np.nonzero(reached)
             nearest = elementwise.hypot(x[columns] - target[0], y[rows] - target[1]).min()
-            least[i] = max(nearest - side / math.sqrt(2), 0.0)
-    return least
+            distances_left[i] = max(nearest - cell_size / math.sqrt(2), 0.0)
+    return distances_left
 
 
-def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
-    """Return the coordinates of the cells' centres along an axis, in ascending order.
+def _cell_centres(start: float, extent: float, cell_size: float, walls: bool) -> Floats:
+    """Compute the coordinates of the cells' centres along an axis, in ascending order.
 
-    Unless `walls` is true, two cells are added at each end, outside the arena.
+    Args:
+        start: Where the arena begins [length unit].
+        extent: Extent of the arena along this axis [length unit].
+        cell_size: Side of a cell [length unit].
+        walls: Whether robots must stay in the arena. If not, two cells outside of the arena are
+            added at each end.
     """
-    beyond = 0 if walls else 2
-    count = max(math.ceil(extent / side - 1e-9), 1)  # a side far shorter than the other has one
-    cells = np.arange(-beyond, count + beyond, dtype=np.float64)
-    return begin + (cells + 0.5) * side
+    cells_outside = 0 if walls else 2
+    count = max(
+        math.ceil(extent / cell_size - 1e-9), 1
+    )  # a side far shorter than the other has one
+    cells = np.arange(-cells_outside, count + cells_outside, dtype=np.float64)
+    return start + (cells + 0.5) * cell_size
 
 
 def connected(cells: Bools, free: Bools) -> Bools:
     """Find the free cells that are connected with any of `cells`.
 
-    The cells grow by their free neighbours, and by the free runs of rows and columns that they are
-    in, until nothing is added. (SciPy's `ndimage.label` takes 0.15 s to import.)
+    Free neighbours of the cells are added, and the free runs of rows and columns that the cells are
+    in, until nothing more can be added. (SciPy's `ndimage.label` takes 0.15 s to import.)
     """
     reached = cells & free
-    all_runs = (_runs(free), _runs(free.T).T)
+    all_runs = (_label_runs(free), _label_runs(free.T).T)
     while True:
-        tall = reached.copy()
-        tall[1:] |= reached[:-1]
-        tall[:-1] |= reached[1:]
-        wide = tall.copy()
-        wide[:, 1:] |= tall[:, :-1]
-        wide[:, :-1] |= tall[:, 1:]
-        wide &= free
-        if (wide == reached).all():
+        grown = reached.copy()
+        grown[1:] |= reached[:-1]
+        grown[:-1] |= reached[1:]
+        grown_both = grown.copy()
+        grown_both[:, 1:] |= grown[:, :-1]
+        grown_both[:, :-1] |= grown[:, 1:]
+        grown_both &= free
+        if (grown_both == reached).all():
             return reached
         for runs in all_runs:
-            hit = np.zeros(free.size + len(runs) + len(runs.T), np.bool_)
-            hit[runs[wide]] = True
-            wide = hit[runs] & free
-        reached = wide
+            is_run_reached = np.zeros(free.size + len(runs) + len(runs.T), np.bool_)
+            is_run_reached[runs[grown_both]] = True
+            grown_both = is_run_reached[runs] & free
+        reached = grown_both
 
 
-def _runs(free: Bools) -> NDArray[np.int64]:
+def _label_runs(free: Bools) -> NDArray[np.int64]:
     """Return for each cell the index of the run of free cells to which it belongs.
 
     A run consists of neighbouring free cells in a row. The values of other cells have no meaning.

@@ -14,9 +14,12 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Bounds, Setup
 from tetractl.core.trial import Verdict
 
-SAMPLES_AT_A_TIME = 10_000  # number of samples of a recorded path that are checked at a time
-FEW = 100  # number of samples of which all are compared with obstacles, which is then faster
-ROUNDING = 1e-9  # more than distances are rounded by, as a fraction of the arena's coordinates
+SAMPLES_AT_A_TIME = 10_000
+"""Number of samples of a recorded path that are checked at a time."""
+COMPARE_ALL_MAX = 100
+"""Maximum number of samples that are all compared with obstacles, which is faster for so few."""
+ROUNDING = 1e-9
+"""Upper bound of rounding errors of distances, as a fraction of the arena's coordinates."""
 
 
 class PathCheck:
@@ -70,38 +73,42 @@ class PathCheck:
             x = np.hstack([last_x, x])
             y = np.hstack([last_y, y])
         self._last = (x[:, -1:], y[:, -1:])
-        inside = self.arena.inside(x, y)
-        self.edge = np.fmin(self.edge, np.fmin.reduce(inside, axis=1))
+        edge_distances = self.arena.inside(x, y)
+        self.edge = np.fmin(self.edge, np.fmin.reduce(edge_distances, axis=1))
         if self.obstacles.count:
-            self._approach(x, y)
+            self._update_obstacle_distances(x, y)
 
-    def _approach(self, x: Floats, y: Floats) -> None:
+    def _update_obstacle_distances(self, x: Floats, y: Floats) -> None:
         """Update the distances to obstacles with more samples (N, M)."""
         every_sample = np.ones(x.shape, dtype=np.bool_)
-        near = self._near(x, y) if x.shape[1] > FEW else every_sample
-        i, m = near.nonzero()
-        gaps = self.obstacles.distance(x[i, m], y[i, m])
-        np.fmin.at(self.clearance, i, gaps)
-        self.entered[i[gaps <= 0]] = True
-        i, m = near[:, :-1].nonzero()
-        crosses = self.obstacles.cross(x[i, m], y[i, m], x[i, m + 1], y[i, m + 1])
-        self.entered[i[crosses]] = True
+        may_be_nearest = (
+            self._find_nearest_candidates(x, y) if x.shape[1] > COMPARE_ALL_MAX else every_sample
+        )
+        robot, sample = may_be_nearest.nonzero()
+        gaps = self.obstacles.distance(x[robot, sample], y[robot, sample])
+        np.fmin.at(self.clearance, robot, gaps)
+        self.entered[robot[gaps <= 0]] = True
+        robot, sample = may_be_nearest[:, :-1].nonzero()
+        crosses = self.obstacles.cross(
+            x[robot, sample], y[robot, sample], x[robot, sample + 1], y[robot, sample + 1]
+        )
+        self.entered[robot[crosses]] = True
 
-    def _near(self, x: Floats, y: Floats) -> Bools:
+    def _find_nearest_candidates(self, x: Floats, y: Floats) -> Bools:
         """Find the samples (N, M) that may be the nearest to an obstacle so far.
 
         The last sample before a step that touches an obstacle also counts.
 
-        `at_least` is a lower bound of each sample's distance, and cheap. A sample can be left out
-        if this bound exceeds two values: the smallest distance found so far, because the sample
-        then is not the nearest; and the longest step, because a path that touches an obstacle
-        before the next sample is nearer to it than that. Samples with NaN are left out.
+        `at_least` is a lower bound of each sample's distance that takes little time to compute. A
+        sample is left out if its bound exceeds two values: the smallest distance found so far,
+        because the sample then is not the nearest one; and the longest step, because the path from
+        the sample to the next one then touches no obstacle. Samples with NaN are left out.
         """
         at_least = self.obstacles.at_least(x, y)
         robots = np.arange(len(x))
         nearest = np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
         distance = self.obstacles.distance(x[robots, nearest], y[robots, nearest])
-        clearance = np.fmin(self.clearance, distance)  # that of the whole path is not greater
+        clearance = np.fmin(self.clearance, distance)  # an upper bound for the whole path
         step_max = _longest_step(x) + _longest_step(y)
         return at_least <= (np.fmax(clearance, step_max) + self._slack)[:, None]
 
@@ -137,13 +144,13 @@ def separations(x: Floats, y: Floats) -> Floats:
     single robot.
     """
     count = len(x)
-    apart = np.full(count, np.inf)
+    minima = np.full(count, np.inf)
     for i in range(count - 1):
         squared = np.square(x[i + 1 :] - x[i]) + np.square(y[i + 1 :] - y[i])
         nearest = np.sqrt(np.fmin.reduce(squared, axis=1, initial=np.inf))
-        apart[i + 1 :] = np.minimum(apart[i + 1 :], nearest)
-        apart[i] = min(apart[i], nearest.min())
-    return apart
+        minima[i + 1 :] = np.minimum(minima[i + 1 :], nearest)
+        minima[i] = min(minima[i], nearest.min())
+    return minima
 
 
 def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verdict:
@@ -160,8 +167,8 @@ def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verd
         samples = path[tracked[:, robot], robot]
         if len(samples):
             check = PathCheck(path_check.obstacles, setup.arena, 1)
-            for begin in range(0, len(samples), SAMPLES_AT_A_TIME):
-                block = samples[begin : begin + SAMPLES_AT_A_TIME]
+            for start in range(0, len(samples), SAMPLES_AT_A_TIME):
+                block = samples[start : start + SAMPLES_AT_A_TIME]
                 check.add(block[:, :1], block[:, 1:2])
             path_check.entered[robot] = check.entered[0]
             path_check.clearance[robot] = check.clearance[0]
@@ -178,5 +185,5 @@ def tracked_separations(path: Floats, tracked: Bools) -> Floats:
         tracked: Whether each robot was tracked, shape (M, N). Only samples for which both are
             tracked count.
     """
-    places = np.where(tracked[..., None], path[..., :2], np.nan)
-    return separations(places[..., 0].T, places[..., 1].T)
+    positions = np.where(tracked[..., None], path[..., :2], np.nan)
+    return separations(positions[..., 0].T, positions[..., 1].T)

@@ -41,9 +41,11 @@ class MeanDifference:
             degrees: Degrees of freedom.
             method: Name of the test.
         """
-        half = t_quantile(degrees) * error
+        half_width = t_quantile(degrees) * error
         p_value = 2 * float(special.stdtr(degrees, -abs(value) / error))
-        return cls(value, Interval(value - half, value + half, method), p_value, degrees)
+        return cls(
+            value, Interval(value - half_width, value + half_width, method), p_value, degrees
+        )
 
     @classmethod
     def untested(cls, value: float, why: str, degrees: float = _NAN) -> "MeanDifference":
@@ -129,21 +131,23 @@ def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
     Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 + (m'
     - l')^2).
     """
-    low, high = _reach(ours)
-    low2, high2 = _reach(theirs)
-    if not all(map(math.isfinite, (low, high, low2, high2))):
-        side = ours if not ours.ci95.known else theirs
-        return Interval.none(f"no interval of one of the means: {side.ci95.reason}")
-    if max(low, high, low2, high2) == 0:
+    below, above = _distances_to_ends(ours)
+    below2, above2 = _distances_to_ends(theirs)
+    if not all(map(math.isfinite, (below, above, below2, above2))):
+        unknown = ours if not ours.ci95.known else theirs
+        return Interval.none(f"no interval of one of the means: {unknown.ci95.reason}")
+    if max(below, above, below2, above2) == 0:
         return Interval.none("the values do not vary on either side")
     difference = ours.mean - theirs.mean
     return Interval(
-        difference - math.hypot(low, high2), difference + math.hypot(high, low2), "both intervals"
+        difference - math.hypot(below, above2),
+        difference + math.hypot(above, below2),
+        "both intervals",
     )
 
 
-def _reach(values: Distribution) -> tuple[float, float]:
-    """Return the distances from the mean down and up to the ends of its interval.
+def _distances_to_ends(values: Distribution) -> tuple[float, float]:
+    """Compute the distances from a mean down and up to the ends of its interval.
 
     Both are 0 if all values are equal, and NaN if there is no interval.
     """
@@ -153,6 +157,7 @@ def _reach(values: Distribution) -> tuple[float, float]:
 
 
 POWER = 0.8
+"""Probability with which a test finds a difference that counts as detectable."""
 
 
 def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
@@ -175,13 +180,15 @@ def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
         return _NAN
     if m is None:
         degrees = n - 1
-        size = float(n)
+        effective_n = float(n)
     else:
         degrees = m + n - 2
-        size = m * n / (m + n)
+        effective_n = m * n / (m + n)
     level = (1 - CONFIDENCE) / tests
     # `t_quantile` is two-sided: its bound for 2 POWER - 1 is not exceeded with POWER on one side
-    return (t_quantile(degrees, 1 - level) + t_quantile(degrees, 2 * POWER - 1)) / math.sqrt(size)
+    return (t_quantile(degrees, 1 - level) + t_quantile(degrees, 2 * POWER - 1)) / math.sqrt(
+        effective_n
+    )
 
 
 EXACT = 60

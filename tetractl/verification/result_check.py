@@ -25,15 +25,15 @@ from tetractl.spec.lab_section import LabSection
 from tetractl.verification.comparison import Difference, first_difference
 from tetractl.verification.guard_replay import camera_frame, checks_of_lab, events_of, note_speeds
 
-TURN_ERRORS = 1.0
-"""Maximum difference between a stated turn and the one computed again, in standard errors.
+TURN_ERRORS_MAX = 1.0
+"""Maximum difference between a stated turn and the recomputed turn, in standard errors.
 
-In virtual time both are the same. In real time a frame that arrives in the last millisecond before
-a start may be seen before or after it, so all blocks of motion begin one frame earlier or later: a
-turn then differs by up to 0.71 standard errors (20 emulated trials of cubes, whose poses are
-coarse).
+In virtual time, both turns are the same. In real time, a frame that arrives in the last millisecond
+before a start may be processed before or after the start. All blocks of motion then begin one frame
+earlier or later, and a turn differs by up to 0.71 standard errors (20 emulated trials of cubes,
+whose poses are coarse).
 """
-TURN_STD_SHARE = 0.1
+TURN_STD_DIFFERENCE_MAX = 0.1
 """Maximum relative difference of a turn's standard error, for the same reason: up to 0.046."""
 
 
@@ -47,8 +47,8 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
     Yields:
         A difference for each contradicted value. Only the first contradicted error is yielded.
     """
-    yield from _emulation(log)
-    again = Result.from_verdict(
+    yield from _check_emulation(log)
+    recomputed = Result.from_verdict(
         log.start.setup,
         result.verdict,
         outcome=result.outcome,
@@ -60,18 +60,19 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         route=log.route,
         estimate=log.last_estimate,
     )
-    difference = first_difference(again, result, name="result")
+    difference = first_difference(recomputed, result, name="result")
     if difference is not None:
         yield difference
     has_ended = result.outcome.complete or not np.isnan(result.verdict.final.array()).all()
     if has_ended and len(log.mocap) and not log.start.plant.simulated:
-        yield from _places(log, result)
+        yield from _check_final_poses(log, result)
     is_own = log.facts.get(CODE) == code_of(log.experiment)
-    if is_own and result.outcome.complete:  # no log says when the guard of another trial aborted it
-        yield from _turns(log, result)
+    # if the guard aborted a trial, its log does not say when
+    if is_own and result.outcome.complete:
+        yield from _check_turning_rates(log, result)
 
 
-def _emulation(log: TrialLog) -> Iterator[Difference]:
+def _check_emulation(log: TrialLog) -> Iterator[Difference]:
     """Yield a difference if a trial with emulated devices does not name them.
 
     Otherwise it could be mistaken for a trial in a real lab.
@@ -80,11 +81,11 @@ def _emulation(log: TrialLog) -> Iterator[Difference]:
     says_so = any(EMULATED_NAME in value for value in plant.facts.values())
     is_emulated = log.experiment.plant.type == EMULATED_PLANT or says_so
     if is_emulated and not plant.facts.get(EMULATED_DEVICES):
-        text = "does not say which devices are emulated"
-        yield Difference(None, f"run.facts.{EMULATED_DEVICES}", text)
+        problem = "does not say which devices are emulated"
+        yield Difference(None, f"run.facts.{EMULATED_DEVICES}", problem)
 
 
-def _places(log: TrialLog, result: Result) -> Iterator[Difference]:
+def _check_final_poses(log: TrialLog, result: Result) -> Iterator[Difference]:
     """Yield how a lab's final poses and entered obstacles contradict its frames.
 
     Robots that stop have the poses of the last frame. Cells swim on after the stop, so their final
@@ -98,35 +99,35 @@ def _places(log: TrialLog, result: Result) -> Iterator[Difference]:
     path, _ = trial_path(log)
     is_known = np.asarray(np.isfinite(path).all(axis=2))
     entered = check_path(log.start.setup, path, is_known, result.verdict.final).entered
-    for i, (stated, again) in enumerate(zip(result.verdict.entered, entered, strict=True)):
-        if stated != again:
-            text = f"states {stated}, but the path in the log gives {again}"
-            yield Difference(None, f"result.entered.{i}", text)
+    for i, (stated, recomputed) in enumerate(zip(result.verdict.entered, entered, strict=True)):
+        if stated != recomputed:
+            problem = f"states {stated}, but the path in the log gives {recomputed}"
+            yield Difference(None, f"result.entered.{i}", problem)
 
 
-def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
+def _check_turning_rates(log: TrialLog, result: Result) -> Iterator[Difference]:
     """Yield how the robots' turning rates in a lab's result contradict the commands and frames.
 
     Rates are compared within TURN_ERRORS standard errors, and the standard errors within
     TURN_STD_SHARE.
     """
     verdict = result.verdict
-    rates, errors = _turning(log)
+    rates, errors = _recompute_turning_rates(log)
     if len(rates) != len(verdict.turn):
-        text = f"states {len(verdict.turn)} turns, but the frames show {len(rates)}"
-        yield Difference(None, "result.turn", text)
+        problem = f"states {len(verdict.turn)} turns, but the frames show {len(rates)}"
+        yield Difference(None, "result.turn", problem)
         return
     stated = zip(verdict.turn, verdict.turn_std, rates, errors, strict=True)
-    for i, (rate, error, again, std) in enumerate(stated):
-        if np.isfinite(std) and not abs(rate - again) <= TURN_ERRORS * std:
+    for i, (rate, stated_std, recomputed, std) in enumerate(stated):
+        if np.isfinite(std) and not abs(rate - recomputed) <= TURN_ERRORS_MAX * std:
             yield Difference(
-                None, f"result.turn.{i}", f"states {rate}, but the frames show {again}"
+                None, f"result.turn.{i}", f"states {rate}, but the frames show {recomputed}"
             )
-        if not np.isclose(error, std, rtol=TURN_STD_SHARE):
-            yield Difference(None, f"result.turn_std.{i}", f"states {error} instead of {std}")
+        if not np.isclose(stated_std, std, rtol=TURN_STD_DIFFERENCE_MAX):
+            yield Difference(None, f"result.turn_std.{i}", f"states {stated_std} instead of {std}")
 
 
-def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _recompute_turning_rates(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Compute how fast robots on wheels turned off course, with standard errors [rad/s].
 
     A guard finds these rates when it sees the trial again. Both are empty if it finds none.

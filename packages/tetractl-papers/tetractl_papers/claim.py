@@ -30,7 +30,7 @@ from tetractl.statistics.estimate import Interval, distributions, proportion_int
 
 CONFIDENCE = 0.95
 """Confidence of all intervals here."""
-_ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+_END_PROBABILITIES = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
 """Probabilities below the lower and upper end of an interval of this confidence."""
 
 
@@ -89,10 +89,10 @@ def mean_of(values: Floats) -> OurNumber:
 
 def share_of(values: Floats) -> OurNumber:
     """Compute the fraction of values (n,) that are above 0, with Wilson's 95 % interval."""
-    n = len(values)
+    trials = len(values)
     count = int(np.sum(values > 0))
-    interval = proportion_interval(count, n)
-    return OurNumber(NumberKind.SHARE, count / n, n, interval.low, interval.high)
+    interval = proportion_interval(count, trials)
+    return OurNumber(NumberKind.SHARE, count / trials, trials, interval.low, interval.high)
 
 
 def deviation_of(values: Floats) -> OurNumber:
@@ -104,7 +104,7 @@ def deviation_of(values: Floats) -> OurNumber:
 
     n = len(values)
     std = float(np.std(values, ddof=1)) if n > 1 else math.nan
-    low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_ENDS[::-1], n - 1))).tolist()
+    low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_END_PROBABILITIES[::-1], n - 1))).tolist()
     return OurNumber(NumberKind.DEVIATION, std, n, low, high)
 
 
@@ -131,17 +131,19 @@ class Asked:
 
 def at_most(bound: float) -> Asked:
     """Create the criterion that our mean is at or below a bound."""
-    return Asked("smaller is better", mean_of, _within(-math.inf, bound))
+    return Asked("smaller is better", mean_of, _interval_within(-math.inf, bound))
 
 
 def at_least(bound: float) -> Asked:
     """Create the criterion that our mean is at or above a bound."""
-    return Asked("greater is better", mean_of, _within(bound, math.inf))
+    return Asked("greater is better", mean_of, _interval_within(bound, math.inf))
 
 
 def rarely(fraction: float = 0.05) -> Asked:
     """Create the criterion that values are above 0 in at most this fraction of trials (0 to 1)."""
-    return Asked(f"in fewer than {100 * fraction:g} %", share_of, _within(-math.inf, fraction))
+    return Asked(
+        f"in fewer than {100 * fraction:g} %", share_of, _interval_within(-math.inf, fraction)
+    )
 
 
 def same_number(published: float) -> Asked:
@@ -149,7 +151,7 @@ def same_number(published: float) -> Asked:
 
     The uncertainty of the published number is unknown, and is not considered.
     """
-    return Asked("agreement", mean_of, _holds(published))
+    return Asked("agreement", mean_of, _interval_contains(published))
 
 
 def as_often(fraction: float) -> Asked:
@@ -157,7 +159,7 @@ def as_often(fraction: float) -> Asked:
 
     The 95 % interval of our fraction must contain the published one.
     """
-    return Asked(f"agreement with {100 * fraction:g} %", share_of, _holds(fraction))
+    return Asked(f"agreement with {100 * fraction:g} %", share_of, _interval_contains(fraction))
 
 
 def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
@@ -169,7 +171,7 @@ def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
     return Asked("nothing: an experiment", number, lambda ours: Fate.NOT_JUDGED)
 
 
-def _within(low: float, high: float) -> Decide:
+def _interval_within(low: float, high: float) -> Decide:
     """Create a decision: REACHED if the interval is within [low, high], MISSED if it is outside.
 
     It is UNDECIDED if the interval contains one of the bounds.
@@ -183,7 +185,7 @@ def _within(low: float, high: float) -> Decide:
     return decide
 
 
-def _holds(published: float) -> Decide:
+def _interval_contains(published: float) -> Decide:
     """Create a decision: AGREES if our interval contains a published number, otherwise MISSED.
 
     The ends belong to the interval.
@@ -240,10 +242,10 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
         claim: The claim.
         results: The trials of each arm, by the arm's name.
     """
-    values = _measured(claim, results[claim.arm])
+    values = _measure_trials(claim, results[claim.arm])
     means = None
     if claim.minus is not None:
-        subtracted = _measured(claim, results[claim.minus])
+        subtracted = _measure_trials(claim, results[claim.minus])
         pairs = min(len(values), len(subtracted))
         values = values[:pairs]
         subtracted = subtracted[:pairs]
@@ -253,10 +255,11 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
     return Row(claim, replace(ours, means=means), claim.asked.decide(ours))
 
 
-def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:
+def _measure_trials(claim: Claim, trials: Sequence[Any]) -> Floats:
     """Compute the claim's measure of each trial, shape (n,), in the order of the trials.
 
-    A measure that is NaN or infinite is an `AssertionError`.
+    Raises:
+        AssertionError: If a measure is NaN or infinite.
     """
     values = np.array([claim.measure(trial) for trial in trials], dtype=float)
     assert np.isfinite(values).all(), f"{claim.figure}: the trials have no such number"

@@ -13,7 +13,7 @@ from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.model.path_check import FEW, PathCheck, check_path
+from tetractl.model.path_check import COMPARE_ALL_MAX, PathCheck, check_path
 from tetractl.model.shapes import Circle, Rectangle
 
 pytestmark = pytest.mark.slow
@@ -82,7 +82,7 @@ def test_many_samples_at_once_are_checked_as_one_by_one(walls):
     entered = []
     for _ in range(20):
         start_x, start_y = rng.uniform(300, 1500, (2, 3))
-        turns = rng.normal(0, 0.1, (FEW + 50, 3))
+        turns = rng.normal(0, 0.1, (COMPARE_ALL_MAX + 50, 3))
         headings = rng.uniform(-np.pi, np.pi, 3) + turns.cumsum(axis=0)
         x = start_x + 10 * np.cos(headings).cumsum(axis=0)
         y = start_y + 10 * np.sin(headings).cumsum(axis=0)

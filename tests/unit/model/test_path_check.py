@@ -12,7 +12,7 @@ from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.model import path_check
-from tetractl.model.path_check import FEW, PathCheck, check_path, separations
+from tetractl.model.path_check import COMPARE_ALL_MAX, PathCheck, check_path, separations
 from tetractl.model.shapes import Circle, Rectangle
 
 pytestmark = pytest.mark.slow
@@ -58,7 +58,11 @@ def assert_is_checked_slowly(check, x, y):
         assert check.apart[i] == pytest.approx(np.nanmin(gaps), abs=1e-9)
 
 
-@given(SEEDS, st.sampled_from([2, FEW, FEW + 1, 3 * FEW]), st.sampled_from([1.0, 0.9]))
+@given(
+    SEEDS,
+    st.sampled_from([2, COMPARE_ALL_MAX, COMPARE_ALL_MAX + 1, 3 * COMPARE_ALL_MAX]),
+    st.sampled_from([1.0, 0.9]),
+)
 def test_few_and_many_samples_are_checked_as_one_after_the_other(seed, samples, known):
     x, y = wander(seed, samples, known=known)
     x[0] = y[0] = 500.0  # so that each robot is known at least once
@@ -66,9 +70,9 @@ def test_few_and_many_samples_are_checked_as_one_after_the_other(seed, samples, 
 
 
 @settings(max_examples=20)
-@given(SEEDS, st.lists(st.integers(1, 2 * FEW), min_size=1, max_size=4))
+@given(SEEDS, st.lists(st.integers(1, 2 * COMPARE_ALL_MAX), min_size=1, max_size=4))
 def test_it_does_not_matter_how_a_path_is_divided(seed, ends):
-    x, y = wander(seed, 2 * FEW + 20)
+    x, y = wander(seed, 2 * COMPARE_ALL_MAX + 20)
     ends = sorted(set(ends))
     parts = list(zip(np.split(x, ends), np.split(y, ends), strict=True))
     whole = checked([(x, y)])

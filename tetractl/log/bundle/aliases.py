@@ -57,9 +57,9 @@ class Aliases:
         text = HOST.sub(lambda m: self._alias("hosts", m[0], "host-{}.example"), text)
         text = HOME.sub(r"\1user", text)
         for name in self._names:
-            given = re.compile(re.escape(name), re.IGNORECASE)
-            if given.search(text):
-                text = given.sub(self._alias("names", name.casefold(), "removed-{}"), text)
+            pattern = re.compile(re.escape(name), re.IGNORECASE)
+            if pattern.search(text):
+                text = pattern.sub(self._alias("names", name.casefold(), "removed-{}"), text)
         return text
 
     def payload(self, data: bytes) -> bytes:
@@ -68,8 +68,8 @@ class Aliases:
         Addresses are not replaced.
         """
         for name in self._names:
-            given = re.compile(re.escape(name.encode()), re.IGNORECASE)
-            data = given.sub(lambda m: b"x" * len(m[0]), data)
+            pattern = re.compile(re.escape(name.encode()), re.IGNORECASE)
+            data = pattern.sub(lambda m: b"x" * len(m[0]), data)
         return data
 
     def host_name(self, name: str) -> None:

@@ -22,11 +22,13 @@ EVEN_RATIO = 5
 MARKED_RATIO = 1000
 """Ratio below which there are ticks at 1, 2 and 5 of each decade."""
 DECIMAL_FROM = 1e-3
+"""Minimum lower limit of a logarithmic axis whose ticks are decimal."""
 DECIMAL_TO = 1e5
-"""Upper limit, and `DECIMAL_FROM` lower limit, of a logarithmic axis whose ticks are decimal."""
+"""Maximum upper limit of a logarithmic axis whose ticks are decimal."""
 FLAT_RATIO = 1.1
-"""Maximum ratio of values that count as equal. Their axis extends by the factor FLAT_ROOM."""
+"""Maximum ratio of values that count as equal."""
 FLAT_ROOM = 1.05
+"""Factor by which the axis extends beyond values that count as equal."""
 NO_VALUES = (0.1, 10.0)
 """Limits of a logarithmic axis without values."""
 CHARACTER_IN = 0.05
@@ -36,8 +38,9 @@ LINE_IN = 0.1
 NAMES_MANY = 50
 """Number of categories from which on their names are small."""
 NAME_PT = 6
+"""Font size of the names of fewer than NAMES_MANY categories [pt]."""
 SMALL_NAME_PT = 4
-"""Font size of the names of NAMES_MANY categories or more [pt]. NAME_PT is that of fewer."""
+"""Font size of the names of NAMES_MANY categories or more [pt]."""
 
 
 def positive(values: Floats) -> Floats:
@@ -62,17 +65,17 @@ def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
         below: How far the axis extends below the values, as a fraction of their range.
         above: How far it extends above them, as a fraction of their range.
     """
-    low, high = _log_limits(values, below, above)
-    ratio = high / low
+    lower_limit, upper_limit = _log_limits(values, below, above)
+    ratio = upper_limit / lower_limit
     axes.set_yscale("log")
-    axes.set_ylim(low, high)
+    axes.set_ylim(lower_limit, upper_limit)
     if ratio < EVEN_RATIO:
         axes.yaxis.set_major_locator(MaxNLocator(4))
     elif ratio < MARKED_RATIO:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     else:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0,)))
-    if (low >= DECIMAL_FROM and high <= DECIMAL_TO) or ratio < EVEN_RATIO:
+    if (lower_limit >= DECIMAL_FROM and upper_limit <= DECIMAL_TO) or ratio < EVEN_RATIO:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     else:
         axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
@@ -80,26 +83,29 @@ def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
 
 
 def _log_limits(values: Floats, below: float, above: float) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis, which extends beyond the values by fractions.
+    """Compute the limits of a logarithmic axis for some values.
 
-    The fractions `below` and `above` refer to the values' range.
+    Args:
+        values: The values.
+        below: How far the axis extends below the values, as a fraction of their range.
+        above: How far the axis extends above the values, as a fraction of their range.
     """
     finite = values[np.isfinite(values)]
-    low, high = NO_VALUES
+    lower_limit, upper_limit = NO_VALUES
     if len(finite):
-        low = float(finite.min())
-        high = float(finite.max())
-    if high <= FLAT_RATIO * low:
-        low = low / FLAT_ROOM
-        high = high * FLAT_ROOM
-    ratio = high / low
-    return low / ratio**below, high * ratio**above
+        lower_limit = float(finite.min())
+        upper_limit = float(finite.max())
+    if upper_limit <= FLAT_RATIO * lower_limit:
+        lower_limit = lower_limit / FLAT_ROOM
+        upper_limit = upper_limit * FLAT_ROOM
+    ratio = upper_limit / lower_limit
+    return lower_limit / ratio**below, upper_limit * ratio**above
 
 
 def spans_orders(errors: Floats) -> bool:
     """Decide whether errors (n,) need a logarithmic axis.
 
-    On an axis from 0, the smallest of them could not be distinguished next to the largest.
+    On an axis that begins at 0, the smallest errors could not be distinguished from 0.
     """
     return bool(0 < LOG_FROM * errors.min() <= errors.max())
 
@@ -115,18 +121,20 @@ def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
         names: The names.
         width_in: Width of the axes [in].
     """
-    level = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
-    longest = max(len(line) for label in level for line in label.split("\n"))
-    fits = CHARACTER_IN * (longest + 2) < width_in / len(names)
-    if fits:
-        labels = level
-        below_in = LINE_IN * max(label.count("\n") for label in level)
+    horizontal_labels = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
+    longest = max(len(line) for label in horizontal_labels for line in label.split("\n"))
+    fits_horizontally = CHARACTER_IN * (longest + 2) < width_in / len(names)
+    if fits_horizontally:
+        labels = horizontal_labels
+        below_in = LINE_IN * max(label.count("\n") for label in horizontal_labels)
     else:
         labels = [name.replace("\n", ", ") for name in names]
         below_in = CHARACTER_IN * max(map(len, names))
-    size = NAME_PT if len(names) < NAMES_MANY else SMALL_NAME_PT
+    font_size = NAME_PT if len(names) < NAMES_MANY else SMALL_NAME_PT
     axes.set_xticks(range(len(names)), labels)
-    axes.tick_params(axis="x", length=0, rotation=0 if fits else 90, labelsize=size)
+    axes.tick_params(
+        axis="x", length=0, rotation=0 if fits_horizontally else 90, labelsize=font_size
+    )
     axes.set_xlim(-0.5, len(names) - 0.5)
     figure = axes.get_figure(root=True)
     assert figure is not None

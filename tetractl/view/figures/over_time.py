@@ -41,10 +41,11 @@ PI_TICKS = {
 ROW_IN = 2.0
 """Height of a row of panels [in]. It is larger if names of robots need it."""
 ABOVE_NAMES_IN = 0.7
+"""Height of a row of panels in addition to the names of robots [in]."""
 TRUE_MARGIN = 1.0
 """Minimum distance between a true value and the edge of its panel [%]."""
-OUTLIERS = (1, 99)
-"""Percentiles between which values are shown, so that one outlier does not hide the rest."""
+SHOWN_PERCENTILES = (1, 99)
+"""Percentiles between which values are shown, so that an outlier does not flatten the curves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,53 +87,62 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     need_steps(log)
     time_s = log.steps_s
     estimated = np.array([step.plan.estimate is not None for step in log.steps])
-    quantities = _quantities(log) if estimated.any() else []
+    quantities = _estimated_quantities(log) if estimated.any() else []
     row_in = ROW_IN
     if quantities:
         row_in = max(ROW_IN, ABOVE_NAMES_IN + NAME_IN * len(log.start.setup.names))
     panels = 2 + len(quantities)
     rows = math.ceil(panels / 2)
     figure = style.figure(style.PAGE_IN, rows * row_in)
-    places = list(figure.subplots(rows, 2, squeeze=False, sharex=True).ravel())
-    for spare in places[panels:]:
-        spare.set_axis_off()
-    places[0].set_xlim(0, end_s(log))
-    _draw_signal(places[0], log, time_s)
-    _draw_solve_times(places[1], log, time_s)
-    for axes, letter, quantity in zip(places[2:], "cdef", quantities, strict=False):
+    all_axes = list(figure.subplots(rows, 2, squeeze=False, sharex=True).ravel())
+    for unused in all_axes[panels:]:
+        unused.set_axis_off()
+    all_axes[0].set_xlim(0, end_s(log))
+    _draw_signal(all_axes[0], log, time_s)
+    _draw_solve_times(all_axes[1], log, time_s)
+    for axes, letter, quantity in zip(all_axes[2:], "cdef", quantities, strict=False):
         style.panel(axes, letter, quantity.title, SINCE, quantity.label)
         _draw_estimates(axes, quantity, time_s[estimated], log.start.setup)
-    signs: list[Artist] = []
-    for axes in places[:panels]:
+    legend_signs: list[Artist] = []
+    for axes in all_axes[:panels]:
         handles, _ = axes.get_legend_handles_labels()
-        signs += handles
+        legend_signs += handles
     if quantities and len(log.start.setup.names) < NUMBERED:
-        signs.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation"))
-    if quantities and _true(log, "a") is not None:
-        signs.append(style.sign("true value", ls=":", lw=0.9))
-    style.legend(figure, signs, 4)
+        legend_signs.append(
+            Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation")
+        )
+    if quantities and _read_true_values(log, "a") is not None:
+        legend_signs.append(style.sign("true value", ls=":", lw=0.9))
+    style.legend(figure, legend_signs, 4)
     return figure
 
 
 def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
     """Draw the direction sent at each control step, as a line that holds until the next step.
 
-    `time_s` (K,) are the times of the steps. Steps without a direction, in which robots stand
-    still, leave a gap.
+    Steps without a direction, in which robots stand still, leave a gap.
+
+    Args:
+        axes: The axes.
+        log: The trial.
+        time_s: Times of the steps [s], shape (K,).
     """
     style.panel(axes, "a", "direction sent", SINCE, "direction $u$ [rad]")
-    sent = np.array([step.command.direction for step in log.steps], dtype=float)
-    u = wrap(sent)
-    wraps = np.abs(np.diff(u, append=u[-1])) > np.pi
-    axes.plot(*_held(time_s, u, wraps), color=style.WHOLE, lw=1.0, gid="direction")
+    directions = np.array([step.command.direction for step in log.steps], dtype=float)
+    wrapped = wrap(directions)
+    wraps = np.abs(np.diff(wrapped, append=wrapped[-1])) > np.pi
+    axes.plot(*_step_line(time_s, wrapped, wraps), color=style.WHOLE, lw=1.0, gid="direction")
     axes.set_ylim(-1.08 * np.pi, 1.08 * np.pi)
     axes.set_yticks(**PI_TICKS)
 
 
-def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, Floats]:
-    """Return x and y of a line that holds each value until the time of the next one.
+def _step_line(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, Floats]:
+    """Compute x and y of a line that holds each value until the time of the next one.
 
-    The line is interrupted after a value where `breaks` is True.
+    Args:
+        time_s: Times of the values [s], shape (K,).
+        values: The values, shape (K,).
+        breaks: Whether the line is interrupted after each value, shape (K,).
     """
     until = np.append(time_s[1:], time_s[-1])
     x = np.column_stack([time_s, until, until])
@@ -143,8 +153,8 @@ def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, F
 def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
     """Draw how long each plan took to compute, next to the control period.
 
-    The title states percentiles of the times that had to be short enough: those of plans made while
-    robots drove.
+    The title states percentiles of the solve times while robots drove. Only these times had to be
+    short enough.
     """
     period_ms = 1e3 * log.start.setup.period_s
     solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
@@ -152,14 +162,14 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
     drove = np.array([False, *(not step.plan.pauses for step in log.steps[:-1])])
     title = f"solve time: {late.sum()} of {len(late)} deadlines missed"
     if drove.any():
-        half_ms, most_ms = np.percentile(solve_ms[drove], (50, 99), method="inverted_cdf")
-        title += f",\ndriving: half within {half_ms:.3g} ms, 99 % within {most_ms:.3g} ms"
+        median_ms, p99_ms = np.percentile(solve_ms[drove], (50, 99), method="inverted_cdf")
+        title += f",\ndriving: half within {median_ms:.3g} ms, 99 % within {p99_ms:.3g} ms"
     style.panel(axes, "b", title, SINCE, "solve time [ms]")
     axes.plot(time_s, solve_ms, color=style.FAINT, lw=0.8, zorder=1)
     axes.plot(time_s[~late], solve_ms[~late], ".", color=style.WHOLE, ms=4)
     if late.any():
-        look = {"color": style.ALARM, "ms": 4.5, "label": "too late", "clip_on": False}
-        axes.plot(time_s[late], solve_ms[late], "v", **look)
+        late_style = {"color": style.ALARM, "ms": 4.5, "label": "too late", "clip_on": False}
+        axes.plot(time_s[late], solve_ms[late], "v", **late_style)
     axes.axhline(period_ms, **style.LIMIT, label=f"control period {period_ms:g} ms")
     log_axis(axes, np.append(positive(solve_ms), period_ms), 0.08, 0.1)
     if not late[0] and solve_ms[0] > period_ms:
@@ -169,8 +179,8 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
         )  # fmt: skip
 
 
-def _quantities(log: TrialLog) -> list[_Quantity]:
-    """Return the quantities to draw, which are those of the controller's last estimate.
+def _estimated_quantities(log: TrialLog) -> list[_Quantity]:
+    """Collect the quantities to draw, which are those of the controller's last estimate.
 
     The log must contain at least one estimate.
     """
@@ -184,20 +194,20 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
         _Quantity(
             rate,
             difference,
-            _stack([estimate.a for estimate in estimates]),
-            _stack([estimate.a_std for estimate in estimates]),
+            _stack_estimates([estimate.a for estimate in estimates]),
+            _stack_estimates([estimate.a_std for estimate in estimates]),
             factor=100 / setup.a,
             spec=setup.a,
-            true=_true(log, "a"),
+            true=_read_true_values(log, "a"),
         ),
         _Quantity(
             f"speed, at the end in {unit_of(setup.unit)}/s",
             difference,
-            _stack([estimate.speed for estimate in estimates]),
-            _stack([estimate.speed_std for estimate in estimates]),
+            _stack_estimates([estimate.speed for estimate in estimates]),
+            _stack_estimates([estimate.speed_std for estimate in estimates]),
             factor=100 / setup.speed,
             spec=setup.speed,
-            true=_true(log, "speed"),
+            true=_read_true_values(log, "speed"),
         ),
     ]
     if estimates[-1].heading_bias is not None:
@@ -205,8 +215,8 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
             _Quantity(
                 "heading bias",
                 "heading bias [rad]",
-                _stack([estimate.heading_bias for estimate in estimates]),
-                _stack([estimate.heading_bias_std for estimate in estimates]),
+                _stack_estimates([estimate.heading_bias for estimate in estimates]),
+                _stack_estimates([estimate.heading_bias_std for estimate in estimates]),
             )
         )
     if estimates[-1].dead_time is not None:
@@ -214,8 +224,8 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
             _Quantity(
                 "dead time, from the sending of a direction",
                 "dead time [ms]",
-                _stack([estimate.dead_time for estimate in estimates]),
-                _stack([estimate.dead_time_std for estimate in estimates]),
+                _stack_estimates([estimate.dead_time for estimate in estimates]),
+                _stack_estimates([estimate.dead_time_std for estimate in estimates]),
                 factor=1e3,
             )
         )
@@ -224,8 +234,8 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
             _Quantity(
                 "lag of the wheels",
                 "lag [ms]",
-                _stack([estimate.lag for estimate in estimates]),
-                _stack([estimate.lag_std for estimate in estimates]),
+                _stack_estimates([estimate.lag for estimate in estimates]),
+                _stack_estimates([estimate.lag_std for estimate in estimates]),
                 factor=1e3,
             )
         )
@@ -248,55 +258,62 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
         axes.axhline(0, color=style.GREY, lw=0.6)
     curves = robot_curves(setup, values, band)
     draw_curves(axes, time_s, curves)
-    low, high = np.nanpercentile(values if curves[0].band is None else band, OUTLIERS)
-    low = min(low, values[-1].min())
-    high = max(high, values[-1].max())
-    margin = max(0.08 * (high - low), 1e-6)
-    low -= margin
-    high += margin
+    lower_limit, upper_limit = np.nanpercentile(
+        values if curves[0].band is None else band, SHOWN_PERCENTILES
+    )
+    lower_limit = min(lower_limit, values[-1].min())
+    upper_limit = max(upper_limit, values[-1].max())
+    margin = max(0.08 * (upper_limit - lower_limit), 1e-6)
+    lower_limit -= margin
+    upper_limit += margin
     if quantity.spec is not None:
-        curves = _named(curves, [f"{end:.3g}" for end in quantity.means[-1]])
+        curves = _append_to_names(curves, [f"{end:.3g}" for end in quantity.means[-1]])
     if quantity.true is not None:
-        true = (quantity.true - spec) * quantity.factor
-        for value, curve in zip(true, curves, strict=True):
+        true_values = (quantity.true - spec) * quantity.factor
+        for value, curve in zip(true_values, curves, strict=True):
             axes.axhline(value, color=curve.color, lw=0.9, ls=":", zorder=5, gid="true")
-        curves = _named(curves, [f"(true {value:.3g})" for value in quantity.true])
-        low = min(low, true.min() - TRUE_MARGIN)
-        high = max(high, true.max() + TRUE_MARGIN)
-    axes.set_ylim(low, high)
+        curves = _append_to_names(curves, [f"(true {value:.3g})" for value in quantity.true])
+        lower_limit = min(lower_limit, true_values.min() - TRUE_MARGIN)
+        upper_limit = max(upper_limit, true_values.max() + TRUE_MARGIN)
+    axes.set_ylim(lower_limit, upper_limit)
     name_curves(axes, curves)
 
 
-def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
-    """Return copies of curves, in which a text follows the name of each.
-
-    Both have the same length.
-    """
+def _append_to_names(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
+    """Copy curves, and append a text to the name of each. There is one text for each curve."""
     return [
         replace(curve, name=f"{curve.name} {text}")
         for curve, text in zip(curves, texts, strict=True)
     ]
 
 
-def _stack(values: Sequence[Floats | float | None]) -> Floats:
-    """Convert the values of all estimates to one array, with NaN where an estimate lacks them.
+def _stack_estimates(values: Sequence[Floats | float | None]) -> Floats:
+    """Convert the values of all estimates to one array, with NaN for an estimate without values.
 
-    The last estimate must have them.
+    The last estimate must have values.
     """
     unknown = np.full_like(values[-1], np.nan, dtype=np.float64)
     return np.array([unknown if value is None else value for value in values], dtype=np.float64)
 
 
-def _true(log: TrialLog, what: str) -> Floats | None:
-    """Return the true turning rates or speeds (N,) of a simulation. None if the log lacks them.
+def _read_true_values(log: TrialLog, parameter: str) -> Floats | None:
+    """Read the true turning rates or speeds of a simulation.
 
-    Raises LogError for a fact that no simulation states.
+    Args:
+        log: The trial.
+        parameter: "a" or "speed".
+
+    Returns:
+        The values, shape (N,). None if the log does not contain them.
+
+    Raises:
+        LogError: If the log states them in a form that no simulation writes.
     """
-    fact = log.start.plant.facts.get(f"true_{what}")
+    fact = log.start.plant.facts.get(f"true_{parameter}")
     if fact is None:
         return None
     with suppress(OverflowError, RecursionError, TypeError, ValueError):
         values = np.array(json.loads(fact), dtype=np.float64)
         if values.shape == log.start.setup.a.shape and np.isfinite(values).all():
             return values
-    raise LogError(f"{log.log}: the fact true_{what} must be a number for each robot")
+    raise LogError(f"{log.log}: the fact true_{parameter} must be a number for each robot")

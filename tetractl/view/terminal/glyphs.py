@@ -10,15 +10,16 @@ from tetractl.core.poses import Floats
 
 ARROWS = "→↗↑↖←↙↓↘"
 """Eight directions, anticlockwise from +x."""
-DONE = "━"
-OPEN = "─"
-"""Character of the open part of a bar. DONE is that of the done part."""
+FILLED_CHARACTER = "━"
+"""Character of the filled part of a bar."""
+OPEN_CHARACTER = "─"
+"""Character of the open part of a bar."""
 SPARKS = "▁▂▃▄▅▆▇█"
 """Characters of a sparkline, from low to high."""
-TO_COME = "·"
+FUTURE_CHARACTER = "·"
 """Character of a sparkline for values to come."""
-LEAST = 1e-12
-"""Minimum value on a logarithmic scale. Smaller values are shown as if they were this."""
+LOG_MIN = 1e-12
+"""Minimum value on a logarithmic scale. A smaller value is shown like this one."""
 
 
 def arrow(angle: float) -> str:
@@ -29,17 +30,19 @@ def arrow(angle: float) -> str:
 
 
 def bar(width: int, fraction: float, style: str) -> Text:
-    """Return a horizontal bar of characters, such as for a robot's distance to its target.
+    """Draw a horizontal bar of characters, for example for a robot's distance to its target.
 
     Args:
         width: Number of characters.
-        fraction: Fraction of the bar that is filled. The whole bar is filled if it is unknown.
+        fraction: Fraction of the bar that is filled. If it is NaN, the whole bar is filled.
         style: Style of the filled part.
     """
     filled = width
     if math.isfinite(fraction):
         filled = round(width * min(max(fraction, 0.0), 1.0))
-    return Text.assemble((DONE * filled, style), (OPEN * (width - filled), "dim"))
+    return Text.assemble(
+        (FILLED_CHARACTER * filled, style), (OPEN_CHARACTER * (width - filled), "dim")
+    )
 
 
 def sparkline(
@@ -49,42 +52,42 @@ def sparkline(
     total: int = 0,
     log: bool = False,
 ) -> Text:
-    """Return a curve of values as a line of small bars, with dots for values still to come.
+    """Draw a curve of values as a line of small bars, with dots for values still to come.
 
     Args:
         values: The values.
         width: Maximum number of bars.
-        total: Number of values that the line has space for, at least as many as are given.
-        log: Whether the scale is logarithmic, from the minimum value. If not, it begins at 0.
+        total: Number of values that the whole line stands for. It is at least the number of values.
+        log: Whether the scale is logarithmic, from the minimum value. Otherwise, it begins at 0.
     """
-    y = np.asarray(values, dtype=float)
-    y = np.where(np.isfinite(y), y, np.nan)
-    if not len(y) or np.isnan(y).all() or width < 1:
-        return Text(TO_COME * max(width, 0), "dim")
-    bars = [SPARKS[level] for level in _levels(y, log)]
+    finite = np.asarray(values, dtype=float)
+    finite = np.where(np.isfinite(finite), finite, np.nan)
+    if not len(finite) or np.isnan(finite).all() or width < 1:
+        return Text(FUTURE_CHARACTER * max(width, 0), "dim")
+    bars = [SPARKS[level] for level in _bar_heights(finite, log)]
     total = max(total, len(bars))
     cells = min(width, total)
-    edges = (np.arange(cells) + 1) * total / cells
-    newest = np.ceil(edges).astype(int) - 1  # index of the newest value of each cell
-    drawn = [bars[index] for index in newest if index < len(bars)]
-    shown_to = newest[len(drawn) - 1] + 1 if drawn else 0
-    if len(drawn) < cells and len(bars) > shown_to:  # the first values of the next cell
-        drawn.append(bars[-1])
-    return Text.assemble("".join(drawn), (TO_COME * (cells - len(drawn)), "dim"))
+    ends = (np.arange(cells) + 1) * total / cells
+    newest = np.ceil(ends).astype(int) - 1  # index of the newest value of each cell
+    shown = [bars[index] for index in newest if index < len(bars)]
+    shown_to = newest[len(shown) - 1] + 1 if shown else 0
+    if len(shown) < cells and len(bars) > shown_to:  # the first values of the next cell
+        shown.append(bars[-1])
+    return Text.assemble("".join(shown), (FUTURE_CHARACTER * (cells - len(shown)), "dim"))
 
 
-def _levels(y: Floats, log: bool) -> list[int]:
-    """Return the height of each value as an index into SPARKS, the highest for unknown values.
+def _bar_heights(values: Floats, log: bool) -> list[int]:
+    """Compute the height of each value as an index into SPARKS. A NaN gets the greatest height.
 
     The lowest height is 0 on a linear scale, and the minimum of the values if `log` is true.
     """
     if log:
-        y = np.log(np.maximum(y, LEAST))
-    low = np.nanmin(y) if log else 0.0
-    high = np.nanmax(y)
-    share = np.zeros_like(y)
-    if high > low:
-        share = (np.clip(y, low, high) - low) / (high - low)
+        values = np.log(np.maximum(values, LOG_MIN))
+    bottom = np.nanmin(values) if log else 0.0
+    top = np.nanmax(values)
+    fraction = np.zeros_like(values)
+    if top > bottom:
+        fraction = (np.clip(values, bottom, top) - bottom) / (top - bottom)
     highest = len(SPARKS) - 1
-    levels = np.nan_to_num(share * highest, nan=highest).round()
+    levels = np.nan_to_num(fraction * highest, nan=highest).round()
     return levels.astype(int).tolist()

@@ -15,10 +15,10 @@ from tetractl.view.figures.over_time import (
     _draw_estimates,
     _draw_signal,
     _draw_solve_times,
-    _held,
-    _quantities,
-    _stack,
-    _true,
+    _estimated_quantities,
+    _read_true_values,
+    _stack_estimates,
+    _step_line,
     over_time_figure,
 )
 
@@ -48,7 +48,9 @@ def with_facts(log, **facts):
 
 
 def test_a_value_is_held_until_the_next_one_and_a_break_follows_it():
-    x, y = _held(np.array([0.0, 1.0, 3.0]), np.array([5.0, 6.0, 7.0]), np.array([0, 1, 0], bool))
+    x, y = _step_line(
+        np.array([0.0, 1.0, 3.0]), np.array([5.0, 6.0, 7.0]), np.array([0, 1, 0], bool)
+    )
     assert x.tolist() == [0, 1, 1, 1, 3, 3, 3, 3, 3]
     assert y[:5].tolist() == [5, 5, 5, 6, 6]
     assert np.isnan(y[5])
@@ -107,7 +109,7 @@ def test_quantities_are_those_of_the_last_estimate_relative_to_the_spec(log):
         dead_time=0.05, dead_time_std=0.01,
     )  # fmt: skip
     facts = {"true_a": str((1.2 * a).tolist())}
-    rate, speed, heading, dead_time = _quantities(
+    rate, speed, heading, dead_time = _estimated_quantities(
         with_facts(with_estimates(log, first, last), **facts)
     )
     assert (rate.means[-1] - rate.spec) * rate.factor == pytest.approx(np.full(3, 10.0))
@@ -118,7 +120,7 @@ def test_quantities_are_those_of_the_last_estimate_relative_to_the_spec(log):
     assert np.isnan(heading.means[0]).all()
     assert heading.means[1] == pytest.approx(bias)
     assert dead_time.means[1] * dead_time.factor == pytest.approx(50.0)
-    assert len(_quantities(with_estimates(log, last, first))) == 2
+    assert len(_estimated_quantities(with_estimates(log, last, first))) == 2
 
 
 def test_the_range_of_an_estimate_contains_its_last_and_true_values(log):
@@ -126,7 +128,7 @@ def test_the_range_of_an_estimate_contains_its_last_and_true_values(log):
     estimates = [Estimate(f * setup.a, 0.01 * setup.a, setup.speed, setup.speed) for f in (1, 1.02)]
     true = (1.5 * setup.a).tolist()
     changed = with_facts(with_estimates(log, *estimates), true_a=str(true))
-    quantity = _quantities(changed)[0]
+    quantity = _estimated_quantities(changed)[0]
     panel = axes()
     _draw_estimates(panel, quantity, np.array([0.0, 1.0]), setup)
     low, high = panel.get_ylim()
@@ -136,8 +138,8 @@ def test_the_range_of_an_estimate_contains_its_last_and_true_values(log):
 
 
 def test_what_an_estimate_lacks_is_unknown():
-    assert np.isnan(_stack([None, 0.5])[0])
-    stacked = _stack([None, np.array([1.0, 2.0])])
+    assert np.isnan(_stack_estimates([None, 0.5])[0])
+    stacked = _stack_estimates([None, np.array([1.0, 2.0])])
     assert stacked.shape == (2, 2)
     assert np.isnan(stacked[0]).all()
 
@@ -145,8 +147,8 @@ def test_what_an_estimate_lacks_is_unknown():
 @pytest.mark.parametrize("fact", ["[1, 2]", "[1, 2, NaN]", "no", "{}", "[[1, 2, 3]]"])
 def test_a_fact_that_is_not_a_number_for_each_robot_is_refused(log, fact):
     with pytest.raises(LogError, match="true_a"):
-        _true(with_facts(log, true_a=fact), "a")
-    assert _true(with_facts(log), "a") is None
+        _read_true_values(with_facts(log, true_a=fact), "a")
+    assert _read_true_values(with_facts(log), "a") is None
 
 
 @pytest.mark.parametrize(("with_estimate", "rows"), [(False, 1), (True, 3)])

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.view.terminal.glyphs import DONE, OPEN, SPARKS, TO_COME, arrow, bar, sparkline
+from tetractl.view.terminal.glyphs import (
+    FILLED_CHARACTER,
+    FUTURE_CHARACTER,
+    OPEN_CHARACTER,
+    SPARKS,
+    arrow,
+    bar,
+    sparkline,
+)
 
 NAMED = {0: "→", 45: "↗", 90: "↑", 135: "↖", 180: "←", 225: "↙", 270: "↓", 315: "↘"}
 
@@ -27,20 +35,20 @@ def test_an_unknown_angle_points_along_x(angle):
 @given(st.integers(0, 40), st.floats(-2, 3))
 def test_a_bar_is_filled_by_its_fraction_and_always_as_wide(width, fraction):
     text = bar(width, fraction, "red").plain
-    filled = text.count(DONE)
-    assert text == DONE * filled + OPEN * (width - filled)
+    filled = text.count(FILLED_CHARACTER)
+    assert text == FILLED_CHARACTER * filled + OPEN_CHARACTER * (width - filled)
     assert abs(filled - width * min(max(fraction, 0), 1)) <= 0.5
 
 
 def test_a_bar_of_an_unknown_fraction_is_filled():
     for unknown in (math.nan, math.inf):
-        assert bar(5, unknown, "red").plain == DONE * 5
-    assert bar(5, 0.0, "red").plain == OPEN * 5
+        assert bar(5, unknown, "red").plain == FILLED_CHARACTER * 5
+    assert bar(5, 0.0, "red").plain == OPEN_CHARACTER * 5
 
 
 def heights(text):
     """The height of each bar of a curve, None for what is to come."""
-    return [None if c == TO_COME else SPARKS.index(c) for c in text.plain]
+    return [None if c == FUTURE_CHARACTER else SPARKS.index(c) for c in text.plain]
 
 
 def test_a_curve_begins_at_0_and_its_greatest_value_is_the_highest_bar():
@@ -62,7 +70,7 @@ def test_a_flat_curve_is_low_and_an_unknown_value_is_high():
 
 @pytest.mark.parametrize(("values", "width"), [([], 5), ([math.nan], 5), ([1.0], 0), ([1.0], -2)])
 def test_nothing_known_is_to_come(values, width):
-    assert sparkline(values, width).plain == TO_COME * max(width, 0)
+    assert sparkline(values, width).plain == FUTURE_CHARACTER * max(width, 0)
 
 
 @given(

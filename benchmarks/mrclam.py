@@ -25,25 +25,32 @@ from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.terminal_table import print_tables
 
 
-def recorded(folder: Path, robot: int) -> tuple[Floats, Floats]:
-    """Read a robot's poses (M, 4) of time, x, y, heading, and its commands (K, 3) of time, v, w."""
+def read_recording(folder: Path, robot: int) -> tuple[Floats, Floats]:
+    """Read the recording of one robot.
+
+    Returns:
+        The poses, rows of time [s], x, y [m] and heading [rad], shape (M, 4). The commands, rows of
+        time [s], speed v [m/s] and turning rate w [rad/s], shape (K, 3).
+    """
     poses = np.loadtxt(folder / f"Robot{robot}_Groundtruth.dat", ndmin=2)
-    sent = np.loadtxt(folder / f"Robot{robot}_Odometry.dat", ndmin=2)
-    sent = sent[np.diff(sent[:, 0], prepend=-np.inf) > 0]  # some rows are twice in the files
-    return poses, sent
+    commands = np.loadtxt(folder / f"Robot{robot}_Odometry.dat", ndmin=2)
+    commands = commands[
+        np.diff(commands[:, 0], prepend=-np.inf) > 0
+    ]  # some rows are twice in the files
+    return poses, commands
 
 
-def create(folder: Path, robot: int) -> tuple[Floats, Floats]:
-    """Read a run's poses and commands as `recorded` does. Times count from the first command."""
-    poses, sent = recorded(folder, robot)
-    poses[:, 0] -= sent[0, 0]
-    sent[:, 0] -= sent[0, 0]
-    return poses, sent
+def read_from_first_command(folder: Path, robot: int) -> tuple[Floats, Floats]:
+    """Read a recording like `read_recording`, with times that count from the first command."""
+    poses, commands = read_recording(folder, robot)
+    poses[:, 0] -= commands[0, 0]
+    commands[:, 0] -= commands[0, 0]
+    return poses, commands
 
 
-def track(folder: Path, robot: int) -> Track:
+def read_track(folder: Path, robot: int) -> Track:
     """Read one robot's run as a track, with lengths in metres."""
-    poses, sent = create(folder, robot)
+    poses, commands = read_from_first_command(folder, robot)
     name = f"{folder.name[-1]}.{robot}"
     return Track(
         source=str(folder),
@@ -53,48 +60,60 @@ def track(folder: Path, robot: int) -> Track:
         time=poses[:, 0],
         poses=poses[:, None, 1:],
         valid=np.ones((len(poses), 1), dtype=np.bool_),
-        sent=sent[:, 0],
-        u=np.full(len(sent), np.nan),
-        until=float(sent[-1, 0]),
-        twists=sent[:, None, 1:],
+        sent=commands[:, 0],
+        u=np.full(len(commands), np.nan),
+        until=float(commands[-1, 0]),
+        twists=commands[:, None, 1:],
     )
 
 
-def _mean(values: Floats) -> SampleInterval:
-    """Compute the mean of the runs' values with its 95 % interval."""
-    n = len(values)
+def _mean_with_interval(values: Floats) -> SampleInterval:
+    """Compute the mean of some values with Student's 95 % interval."""
+    count = len(values)
     mean = values.mean()
-    half = t_quantile(n - 1) * values.std(ddof=1) / n**0.5
-    return SampleInterval(mean, mean - half, mean + half)
+    half_width = t_quantile(count - 1) * values.std(ddof=1) / count**0.5
+    return SampleInterval(mean, mean - half_width, mean + half_width)
 
 
 def main(folders: list[Path]) -> None:
-    """Print a row per quantity: its mean over the runs with interval, deviation and extremes."""
+    """Fit each run, and print a table of the fitted quantities.
+
+    Each row has the mean of a quantity over the runs with its interval, the standard deviation and
+    the extremes.
+
+    Args:
+        folders: Folders of data sets, with one run for each robot.
+    """
     runs = [
-        (folder, k) for folder in folders for k in range(1, 6) if list(folder.glob(f"Robot{k}_*"))
+        (folder, robot)
+        for folder in folders
+        for robot in range(1, 6)
+        if list(folder.glob(f"Robot{robot}_*"))
     ]
     if len(runs) < 2:
         raise UsageError("two runs are needed: folders with files such as Robot1_Odometry.dat")
-    responses = [respond([track(*run)])[0] for run in runs]
-    values = []  # of the runs, of each quantity
-    widths = []
+    responses = [respond([read_track(*run)])[0] for run in runs]
+    values_by_quantity = []  # of the runs, of each quantity
+    widths_by_quantity = []
     units = {name: UNITS[name] for name in responses[0].quantities}
     for name in units:
         intervals = [response.quantities[name] for response in responses]
-        values.append(np.array([interval.value for interval in intervals]))
-        widths.append(np.array([interval.high - interval.low for interval in intervals]))
-    mean = [_mean(column) for column in values]
+        values_by_quantity.append(np.array([interval.value for interval in intervals]))
+        widths_by_quantity.append(
+            np.array([interval.high - interval.low for interval in intervals])
+        )
+    means = [_mean_with_interval(column) for column in values_by_quantity]
     columns = (
         Column(
             "quantity", [f"{n.replace('_', ' ')} {u.format(unit='m')}" for n, u in units.items()]
         ),
-        Column("mean of runs", [*map(cell, mean)]),
-        Column("deviation", [f"{column.std(ddof=1):.4f}" for column in values]),
-        Column("least", [f"{column.min():.4f}" for column in values]),
-        Column("greatest", [f"{column.max():.4f}" for column in values]),
+        Column("mean of runs", [*map(cell, means)]),
+        Column("deviation", [f"{column.std(ddof=1):.4f}" for column in values_by_quantity]),
+        Column("least", [f"{column.min():.4f}" for column in values_by_quantity]),
+        Column("greatest", [f"{column.max():.4f}" for column in values_by_quantity]),
         Column(
             "half width in a run",
-            [f"{np.median(column) / 2:.4f}" for column in widths],
+            [f"{np.median(column) / 2:.4f}" for column in widths_by_quantity],
         ),
     )
     steps = sum(response.intervals for response in responses)

@@ -19,7 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from mrclam import recorded
+from mrclam import read_recording
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
@@ -149,7 +149,7 @@ def convert(folder: Path, folder_of_logs: Path, longest_s: float = math.inf) -> 
     Returns:
         The log's file.
     """
-    raw = [recorded(folder, k) for k in ROBOTS]
+    raw = [read_recording(folder, k) for k in ROBOTS]
     start_s = max(sent[0, 0] for _, sent in raw)  # when the last robot began to be sent speeds
     until_s = min(longest_s, min(poses[-1, 0] for poses, _ in raw) - start_s)
     poses = [np.column_stack([p[:, 0] - start_s + 1, p[:, 1:]]) for p, _ in raw]

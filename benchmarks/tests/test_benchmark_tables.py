@@ -47,6 +47,6 @@ def test_recordings_of_robots_that_drive_are_read(tmp_path):
 def test_a_run_of_mrclam_is_read_from_its_first_command_on(tmp_path):
     (tmp_path / "Robot1_Groundtruth.dat").write_text("9.5 0 0 0\n10.5 1 0 0\n")
     (tmp_path / "Robot1_Odometry.dat").write_text("10 0.1 0\n10 0.1 0\n11 0.2 0.3\n")
-    poses, sent = mrclam.create(tmp_path, 1)
+    poses, sent = mrclam.read_from_first_command(tmp_path, 1)
     assert poses[:, 0].tolist() == [-0.5, 0.5]
     assert sent.tolist() == [[0, 0.1, 0], [1, 0.2, 0.3]]

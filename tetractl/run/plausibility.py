@@ -62,14 +62,14 @@ headings by at most this number of radians.
 """
 SAME_HEADING_RAD = 1e-9
 """Difference below which two start headings count as equal [rad]; it only allows for rounding."""
-LEAST_ERROR = 0.7
+NOISE_FACTOR = 0.7
 """Minimum total error worth asking for, in standard deviations of a measured position for each
 robot. With 0.4 instead of 0.7, trials last longer, and their error hardly decreases
 (docs/decisions/controller.md).
 """
 ROUNDING = 1e-9
 """Relative difference below which two times count as equal; it only allows for rounding."""
-NO_ERROR = 1e-6
+ROUNDING_ERROR = 1e-6
 """Fraction of the arena's longer side below which a lower bound of the total error counts as 0."""
 NAMED_MAX = 2
 """If more than four robots are similar, the message names the first and this many more."""
@@ -120,7 +120,9 @@ class CheckContext:
         rounding errors.
         """
         arena = self.setup.arena
-        return error_min > max(robots * self.tolerance, NO_ERROR * max(arena.width, arena.height))
+        return error_min > max(
+            robots * self.tolerance, ROUNDING_ERROR * max(arena.width, arena.height)
+        )
 
     def clearances(self, points: Floats) -> Floats:
         """Return the distances of points (N, 2) to the nearest obstacle or wall."""
@@ -141,11 +143,11 @@ class CheckContext:
 
 def angles_of_many_turns(context: CheckContext) -> Findings:
     """Angles of more than a whole turn, which are probably degrees."""
-    for where, value in _radians(context.experiment, ()):
+    for location, value in _angles_in_section(context.experiment, ()):
         problem = turn_problem(value)
         if problem is not None:
-            text, hint = problem
-            yield SpecFinding(where, text, hint)
+            problem_text, hint = problem
+            yield SpecFinding(location, problem_text, hint)
 
 
 def turns_faster_than_robots(context: CheckContext) -> Findings:
@@ -173,18 +175,18 @@ def robots_of_another_size(context: CheckContext) -> Findings:
         )
 
 
-def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
+def _angles_in_section(section: BaseModel, location: Loc) -> Iterator[tuple[Loc, float]]:
     """Yield location and value of each number in the fields of a section that are angles."""
-    fields = type(part).model_fields
-    for name, value in part:
-        items = [((*where, name), value)]
+    fields = type(section).model_fields
+    for name, value in section:
+        items = [((*location, name), value)]
         if isinstance(value, tuple):
-            items = [((*where, name, index), item) for index, item in enumerate(value)]
-        for place, item in items:
+            items = [((*location, name, index), item) for index, item in enumerate(value)]
+        for item_location, item in items:
             if isinstance(item, BaseModel):
-                yield from _radians(item, place)
+                yield from _angles_in_section(item, item_location)
             elif isinstance(item, float) and ANGLE in fields[name].metadata:
-                yield place, item
+                yield item_location, item
 
 
 def plan_outlasts_trial(context: CheckContext) -> Findings:
@@ -244,35 +246,37 @@ def unknown_dead_time(context: CheckContext) -> Findings:
     late_periods = (plant.dead_time - assumed_s) / context.setup.period_s
     if abs(late_periods) <= 1:
         return
-    side = "late" if late_periods > 0 else "early"
+    lateness = "late" if late_periods > 0 else "early"
     yield SpecFinding(
         ("plant", "dead_time"),
         f"is {plant.dead_time:.4g} s, but the controller assumes {assumed_s:.4g} s, so that "
-        f"every command acts {abs(late_periods):.2g} control periods too {side}",
+        f"every command acts {abs(late_periods):.2g} control periods too {lateness}",
         f"set controller.dead_time to {plant.dead_time:.4g}",
     )
 
 
 def robots_alike(context: CheckContext) -> Findings:
     """Robots that one signal cannot separate, though their targets require it."""
-    for group in _groups_alike(context.setup):
-        alike = context.setup.only(group)
+    for group in _groups_of_similar(context.setup):
+        similar = context.setup.only(group)
         as_first = replace(
-            alike,
-            a=np.full_like(alike.a, alike.a[0]),
-            starts=replace(alike.starts, heading=np.full_like(alike.a, alike.starts.heading[0])),
+            similar,
+            a=np.full_like(similar.a, similar.a[0]),
+            starts=replace(
+                similar.starts, heading=np.full_like(similar.a, similar.starts.heading[0])
+            ),
         )
-        least = bounds.least_total_error(as_first, context.longest_s)
-        if context.is_worth_warning(least, len(group)):
+        error_min = bounds.least_total_error(as_first, context.longest_s)
+        if context.is_worth_warning(error_min, len(group)):
             yield SpecFinding(
                 ("robots", group[1], "a"),
-                _alike_text(alike, context.length_text(least)),
+                _describe_similar(similar, context.length_text(error_min)),
                 "give the robots different a, or targets with the same relative positions "
                 "as their starts",
             )
 
 
-def _groups_alike(setup: Setup) -> Iterator[list[int]]:
+def _groups_of_similar(setup: Setup) -> Iterator[list[int]]:
     """Yield groups of robots with similar turning rates and start headings, as indices.
 
     Each group has at least two robots, which are similar to its first robot.
@@ -289,38 +293,38 @@ def _groups_alike(setup: Setup) -> Iterator[list[int]]:
                 yield np.flatnonzero(group).tolist()
 
 
-def _alike_text(similar: Setup, error_min: str) -> str:
+def _describe_similar(similar: Setup, error_min: str) -> str:
     """Describe why robots are similar, with the lower bound `error_min` of their total error."""
     first, *others = similar.names
-    them = _listed(others)
+    names_of_others = _join_names(others)
     robots = len(similar.names)
     spread = float(np.ptp(similar.a) / similar.a.mean())
     headings = similar.starts.heading
     turns = np.abs(wrap(headings - headings[0]))
-    turned = float(turns.max())
-    if spread == 0 and turned < SAME_HEADING_RAD:
-        turn = "turns" if len(others) == 1 else "turn"
-        start = "starts" if len(others) == 1 else "start"
+    heading_spread = float(turns.max())
+    if spread == 0 and heading_spread < SAME_HEADING_RAD:
+        turn_verb = "turns" if len(others) == 1 else "turn"
+        start_verb = "starts" if len(others) == 1 else "start"
         return (
-            f"{them} {turn} at the same rate as {first} and {start} with the same heading, so "
-            f"the {robots} can only move in parallel: their total error cannot fall below "
-            f"{error_min}"
+            f"{names_of_others} {turn_verb} at the same rate as {first} and {start_verb} with the "
+            f"same heading, so the {robots} can only move in parallel: their total error cannot "
+            f"fall below {error_min}"
         )
     return (
-        f"{them} and {first} differ by only {100 * spread:.2g} % in turning rate a and "
-        f"{turned:.2g} rad in start heading. That may be too little to separate them: the total "
-        f"error of {robots} identical robots could not fall below {error_min}"
+        f"{names_of_others} and {first} differ by only {100 * spread:.2g} % in turning rate a and "
+        f"{heading_spread:.2g} rad in start heading. That may be too little to separate them: the "
+        f"total error of {robots} identical robots could not fall below {error_min}"
     )
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return names as "a, b and c", those after the second as "2 more" if there are many."""
-    listed = list(names)
+def _join_names(names: Sequence[str]) -> str:
+    """Join names as "a, b and c". Names after the first few are counted, for example as "2 more"."""
+    shown_names = list(names)
     if len(names) > NAMED_MAX + 1:
-        listed = [*names[:NAMED_MAX], f"{len(names) - NAMED_MAX} more"]
-    if len(listed) == 1:
-        return listed[0]
-    return f"{', '.join(listed[:-1])} and {listed[-1]}"
+        shown_names = [*names[:NAMED_MAX], f"{len(names) - NAMED_MAX} more"]
+    if len(shown_names) == 1:
+        return shown_names[0]
+    return f"{', '.join(shown_names[:-1])} and {shown_names[-1]}"
 
 
 def out_of_reach(context: CheckContext) -> Findings:
@@ -341,14 +345,14 @@ def beyond_the_plan(context: CheckContext) -> Findings:
     if context.plan_s == math.inf:
         return
     too_few = reach(context.setup, context.plan_s)
-    far = (too_few > context.tolerance) & (
+    out_of_plan = (too_few > context.tolerance) & (
         reach(context.setup, context.longest_s) <= context.tolerance
     )
-    if not far.any():
+    if not out_of_plan.any():
         return
     needed_s = {
         i: float(too_few[i] / context.setup.speed[i]) + context.plan_s
-        for i in np.flatnonzero(far).tolist()
+        for i in np.flatnonzero(out_of_plan).tolist()
     }
     i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
     yield SpecFinding(
@@ -363,11 +367,11 @@ def beyond_the_plan(context: CheckContext) -> Findings:
 
 def error_left(context: CheckContext) -> Findings:
     """No plan can reach all targets: the lower bound of the total error is not 0."""
-    least = bounds.least_total_error(context.setup, context.longest_s)
-    if context.is_worth_warning(least, len(context.setup.a)):
+    error_min = bounds.least_total_error(context.setup, context.longest_s)
+    if context.is_worth_warning(error_min, len(context.setup.a)):
         yield SpecFinding(
             ("robots",),
-            f"the smallest total error of any plan is {least:.4g} {context.unit}",
+            f"the smallest total error of any plan is {error_min:.4g} {context.unit}",
             "no controller can achieve a smaller error with these a, speeds, starts and targets",
         )
 
@@ -377,14 +381,17 @@ def walled_off(context: CheckContext) -> Findings:
     if not context.experiment.obstacles:
         return
     setup = context.setup
-    apart = shut_out(setup, 0.0, context.walls)
-    squeezed = shut_out(setup, context.margin, context.walls) if context.margin > 0 else apart
+    blocked_distance = shut_out(setup, 0.0, context.walls)
+    blocked_with_margin = (
+        shut_out(setup, context.margin, context.walls) if context.margin > 0 else blocked_distance
+    )
     ends = np.minimum(context.clearances(setup.starts.xy), context.clearances(setup.targets))
-    for i in np.flatnonzero((apart > 0) | (squeezed > 0)).tolist():
-        if apart[i] > 0:
+    for i in np.flatnonzero((blocked_distance > 0) | (blocked_with_margin > 0)).tolist():
+        if blocked_distance[i] > 0:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is walled off: the robot cannot come closer than {apart[i]:.4g} {context.unit}",
+                f"is walled off: the robot cannot come closer than {blocked_distance[i]:.4g} "
+                f"{context.unit}",
                 "open a gap between the obstacles",
             )
         elif ends[i] > context.margin:
@@ -392,7 +399,7 @@ def walled_off(context: CheckContext) -> Findings:
                 ("robots", i, "target"),
                 "cannot be reached by a path that keeps "
                 f"{context.length_text(context.margin)} from the obstacles; the robot comes "
-                f"within {context.length_text(squeezed[i])}",
+                f"within {context.length_text(blocked_with_margin[i])}",
                 "lower controller.collision.margin or radius, or widen the gap",
             )
 
@@ -419,12 +426,12 @@ def target_near_obstacle(context: CheckContext) -> Findings:
     """
     if not context.collision or not context.collision.radius or not context.collision.adaptive:
         return
-    room = context.clearances(context.setup.targets) - context.collision.radius
+    free_space = context.clearances(context.setup.targets) - context.collision.radius
     step = context.setup.speed * context.experiment.controller.period
-    for i in np.flatnonzero(room < context.collision.margin + step).tolist():
+    for i in np.flatnonzero(free_space < context.collision.margin + step).tolist():
         yield SpecFinding(
             ("robots", i, "target"),
-            f"leaves a body only {room[i]:.3g} {context.unit} of free space to the nearest "
+            f"leaves a body only {free_space[i]:.3g} {context.unit} of free space to the nearest "
             f"obstacle or edge, but the robot drives {step[i]:.3g} {context.unit} in a "
             "control period",
             "move the target, or shorten the control period; otherwise a trial may end far "
@@ -437,32 +444,32 @@ def accepts_less_than_noise(context: CheckContext) -> Findings:
     control = context.experiment.controller
     if not isinstance(control, Accepting):
         return
-    least = LEAST_ERROR * control.prior.position_noise * len(context.setup.names)
-    if control.accept_error < least:
+    error_min = NOISE_FACTOR * control.prior.position_noise * len(context.setup.names)
+    if control.accept_error < error_min:
         yield SpecFinding(
             ("controller", "accept_error"),
-            f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} "
+            f"is less than {NOISE_FACTOR} x position_noise x robots, {error_min:.3g} "
             f"{context.unit}: the camera can hardly measure such a small error, so that "
             "trials take longer and gain little",
-            f"set it to {least:.3g} {context.unit} or more",
+            f"set it to {error_min:.3g} {context.unit} or more",
         )
 
 
 def too_close(context: CheckContext) -> Findings:
     """Starts or targets are closer to each other than the lab's minimum separation."""
     per_mm = 1e-3 / context.setup.metres
-    places = {"plant": context.experiment.plant, "lab": context.experiment.lab}
-    for section, part in places.items():
-        if not isinstance(part, LabSection):
+    sections = {"plant": context.experiment.plant, "lab": context.experiment.lab}
+    for section, plant in sections.items():
+        if not isinstance(plant, LabSection):
             continue
-        least_mm = part.limits.separation_mm
+        separation_min_mm = plant.limits.separation_mm
         for field, points in context.ends.items():
             for i, neighbour, distance in find_nearest(context.setup, points):
-                if distance < least_mm * per_mm:
+                if distance < separation_min_mm * per_mm:
                     yield SpecFinding(
                         ("robots", i, field),
                         f"is {distance / per_mm:.4g} mm from the {field} of {neighbour}, but "
-                        f"the lab aborts if robots are closer than {least_mm:.4g} mm",
+                        f"the lab aborts if robots are closer than {separation_min_mm:.4g} mm",
                         f"move them apart, or lower {section}.limits.separation_mm",
                     )
 
@@ -489,16 +496,17 @@ def targets_near_each_other(context: CheckContext) -> Findings:
     if not context.collision:
         return
     setup = context.setup
-    least = kept_apart(context.collision, setup.speed, setup.period_s)
+    separation_min = kept_apart(context.collision, setup.speed, setup.period_s)
     for i, neighbour, distance in find_nearest(setup, setup.targets):
-        if 0 < distance < least:
+        if 0 < distance < separation_min:
             gap = context.length_text(distance)
             yield SpecFinding(
                 ("robots", i, "target"),
                 f"is {gap} from the target of {neighbour}, so that bodies might touch: the "
-                f"controller leads the two robots to places {least:.4g} {context.unit} apart",
+                f"controller leads the two robots to places {separation_min:.4g} {context.unit} "
+                "apart",
                 "move the targets apart; otherwise a trial ends about "
-                f"{least - distance:.2g} {context.unit} off them",
+                f"{separation_min - distance:.2g} {context.unit} off them",
             )
 
 
@@ -507,10 +515,10 @@ def hold_too_tight(context: CheckContext) -> Findings:
     setup = context.setup
     if setup.hold is None or setup.on_wheels:
         return
-    for name, least in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
-        if setup.hold.radius < least:
+    for name, radius_min in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
+        if setup.hold.radius < radius_min:
             text = (
-                f"is less than v / a of {name}, {least:.4g} {context.unit}, which is its "
+                f"is less than v / a of {name}, {radius_min:.4g} {context.unit}, which is its "
                 "smallest possible mean distance"
             )
             yield SpecFinding(

@@ -66,21 +66,21 @@ MEANINGS: Mapping[Outcome, str] = {
     Outcome.ABORTED: "a fault or an error ended the trial",
 }
 """What outcomes mean, for readers of tables and reports."""
-REASONS_NAMED = 3
+REASONS_MAX = 3
 """Maximum number of different reasons for aborts that a table names."""
 
 
-def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
+def _outcome_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     counts = Counter(trial.outcome for trial in trials)
-    ways = counts.most_common()
+    most_common = counts.most_common()
     items = {
-        "outcomes": {way.value: counts[way] for way in Outcome},
+        "outcomes": {outcome.value: counts[outcome] for outcome in Outcome},
         "aborted": counts[Outcome.ABORTED],
         "interrupted": counts[Outcome.INTERRUPTED],
     }
     explained = {**MEANINGS, Outcome.ABORTED: _abort_reasons(trials)}
-    text = "; ".join(f"{n} {way.value} ({explained[way]})" for way, n in ways)
-    brief = ", ".join(f"{n} {way.value}" for way, n in ways)
+    text = "; ".join(f"{n} {outcome.value} ({explained[outcome]})" for outcome, n in most_common)
+    brief = ", ".join(f"{n} {outcome.value}" for outcome, n in most_common)
     return [Figure("outcomes", text, items, brief=brief)]
 
 
@@ -93,19 +93,19 @@ def _abort_reasons(trials: Sequence[ResultSummary]) -> str:
     counts = Counter(trial.result.reason or MEANINGS[Outcome.ABORTED] for trial in aborted)
     if len(counts) == 1:
         return next(iter(counts))
-    named = [f"{n} x {reason}" for reason, n in counts.most_common(REASONS_NAMED)]
-    others = len(aborted) - sum(n for _, n in counts.most_common(REASONS_NAMED))
-    return "; ".join([*named, f"{others} x other reasons"] if others else named)
+    most_frequent = [f"{n} x {reason}" for reason, n in counts.most_common(REASONS_MAX)]
+    others = len(aborted) - sum(n for _, n in counts.most_common(REASONS_MAX))
+    return "; ".join([*most_frequent, f"{others} x other reasons"] if others else most_frequent)
 
 
-def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:
+def _arrived_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     if trials[0].experiment.controller.arrival_tolerance <= 0:
-        return [_unknown_share("arrived", "arrived", "no arrival_tolerance")]
+        return [_unknown_fraction("arrived", "arrived", "no arrival_tolerance")]
     arrived = sum(trial.outcome is Outcome.ARRIVED for trial in trials)
     return [share_figure("arrived", "arrived", arrived, len(trials), unusual=False)]
 
 
-def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> Figure:
+def _unknown_fraction(key: str, label: str, reason: str, unusual: bool = False) -> Figure:
     """Create the figure of a fraction that is not known, for the given reason.
 
     Its JSON has the same keys as the figure of a known fraction, with the value None.
@@ -138,8 +138,8 @@ def total(
     return Statistic(of_batch, lambda trial: {key: number_in(trial)})
 
 
-OUTCOMES = Statistic(_outcomes)
-ARRIVED = Statistic(_arrived)
+OUTCOMES = Statistic(_outcome_figures)
+ARRIVED = Statistic(_arrived_figures)
 RECOVERED = total("recovered", "read from damaged logs", lambda trial: trial.recovered)
 
 # ---- How near robots came ----
@@ -200,32 +200,36 @@ def safety(
         centre_key: Key for the count of centres. None if there is no such count.
         centre_column: Name of that count for a single trial.
     """
-    did = SAFETY[label]
+    was_unsafe = SAFETY[label]
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
         verdict = trial.result.verdict
         radius = trial.experiment.controller.body_radius
         columns: dict[str, Any] = {}
         if centre_column is not None:
-            columns[centre_column] = any(did(verdict, 0.0))
-        columns[body_key] = any(did(verdict, radius)) if radius else None
+            columns[centre_column] = any(was_unsafe(verdict, 0.0))
+        columns[body_key] = any(was_unsafe(verdict, radius)) if radius else None
         return columns
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
-        n = len(trials)
+        trial_count = len(trials)
         radius = trials[0].experiment.controller.body_radius
         verdicts = [trial.result.verdict for trial in trials]
-        bodies = sum(any(did(verdict, radius)) for verdict in verdicts) if radius else 0
-        centres = 0 if centre_key is None else sum(any(did(verdict, 0.0)) for verdict in verdicts)
+        bodies = sum(any(was_unsafe(verdict, radius)) for verdict in verdicts) if radius else 0
+        centres = (
+            0 if centre_key is None else sum(any(was_unsafe(verdict, 0.0)) for verdict in verdicts)
+        )
         unusual = bodies > 0 or centres > 0 or label == ENTERED
         centre_label = "" if radius else label  # tables show one of the two
         if radius:
-            figures = [share_figure(body_key, label, bodies, n, "bodies", unusual)]
+            figures = [share_figure(body_key, label, bodies, trial_count, "bodies", unusual)]
         else:
             body_label = label if centre_key is None else ""
-            figures = [_unknown_share(body_key, body_label, "no radius", unusual)]
+            figures = [_unknown_fraction(body_key, body_label, "no radius", unusual)]
         if centre_key is not None:
-            figures.append(share_figure(centre_key, centre_label, centres, n, "centres", unusual))
+            figures.append(
+                share_figure(centre_key, centre_label, centres, trial_count, "centres", unusual)
+            )
         return figures
 
     return Statistic(of_batch, of_trial)
@@ -240,18 +244,18 @@ TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
 # ---- Means of the numbers of a trial ----
 
 
-def _way_points(trial: ResultSummary) -> dict[str, Any]:
+def _way_point_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return the sum of the robots' distances to each way-point when it was passed.
 
     None for a way-point that was not passed.
     """
     way_points = len(trial.experiment.setup.legs) - 1
-    passed = trial.result.passed[:way_points]
-    distances = (*passed, *[None] * (way_points - len(passed)))
+    passed_distances = trial.result.passed[:way_points]
+    distances = (*passed_distances, *[None] * (way_points - len(passed_distances)))
     return {f"way_point_{i}": distance for i, distance in enumerate(distances, 1)}
 
 
-def _time_inside(trial: ResultSummary) -> dict[str, Any]:
+def _time_inside_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return the fraction of the hold's time that each robot was near its target.
 
     Near means within `hold.radius`. None if the hold was not completed.
@@ -259,12 +263,14 @@ def _time_inside(trial: ResultSummary) -> dict[str, Any]:
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names
-    held = trial.result.outcome.complete and trial.result.inside
-    shares = held or [None] * len(names)
-    return {f"inside_{name}": share for name, share in zip(names, shares, strict=True)}
+    fractions = trial.result.outcome.complete and trial.result.inside
+    fractions_or_none = fractions or [None] * len(names)
+    return {
+        f"inside_{name}": fraction for name, fraction in zip(names, fractions_or_none, strict=True)
+    }
 
 
-def _lost(trial: ResultSummary) -> dict[str, Any]:
+def _lost_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return {"lost": number of lost robots}.
 
     Empty if the spec lets a lost robot stop the trial.
@@ -273,14 +279,16 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 
 
 def mean_of_each(
-    of_trial: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
+    of_trial: Callable[[ResultSummary], dict[str, Any]],
+    label: str,
+    format_mean: Callable[[float], str],
 ) -> Statistic:
     """Create a statistic that computes the mean of each of several columns over all trials.
 
     Args:
         of_trial: Returns the columns of a trial.
         label: Label in tables.
-        show: Formats a mean.
+        format_mean: Formats a mean.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
@@ -289,22 +297,24 @@ def mean_of_each(
         for key in rows[0]:
             numbers = [row[key] for row in rows if row[key] is not None]
             mean = float(np.mean(numbers)) if numbers else None
-            text = UNKNOWN_TEXT if mean is None else f"{show(mean)} (n {len(numbers)})"
+            text = UNKNOWN_TEXT if mean is None else f"{format_mean(mean)} (n {len(numbers)})"
             figures.append(Figure(f"{label} ({key})", text, {key: mean}))
         return figures
 
     return Statistic(of_batch, of_trial)
 
 
-WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", format_digits)
-LOST = mean_of_each(_lost, "mean number of robots", "{:.3g}".format)
+WAY_POINTS = mean_of_each(
+    _way_point_columns, "mean distance at a way-point, all robots", format_digits
+)
+LOST = mean_of_each(_lost_columns, "mean number of robots", "{:.3g}".format)
 TIME_INSIDE = mean_of_each(
-    _time_inside, "mean share of the hold's time within the radius", "{:.3f}".format
+    _time_inside_columns, "mean share of the hold's time within the radius", "{:.3f}".format
 )
 
 # ---- How tightly robots were held ----
 
-SHARE = 0.95
+DISC_FRACTION = 0.95
 """Fraction of the counted time of a hold for which a robot is in its disc."""
 SETTLING_S = 5.0
 """Time from the begin of a hold that is not counted [s]."""
@@ -324,11 +334,11 @@ def discs(log: TrialLog) -> Floats:
     distances = setup.distances(poses[log.mocap_ns >= counts_from_ns, :, :2])
     if not len(distances):
         return np.full(distances.shape[1], np.nan)
-    return 2 * np.nanquantile(distances, SHARE, axis=0)
+    return 2 * np.nanquantile(distances, DISC_FRACTION, axis=0)
 
 
 @lru_cache(maxsize=1024)
-def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
+def _cached_discs(log: Path, digest: str | None) -> Sequence[float]:
     """Return `discs` of the log with a content digest, from a cache if it was computed before.
 
     Both the table of trials and the means need it.
@@ -349,11 +359,11 @@ def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
     names = trial.experiment.setup.names
     diameters: Sequence[float | None] = [None] * len(names)
     if trial.outcome.complete:
-        diameters = _discs_of(Path(trial.log), trial.digest)
+        diameters = _cached_discs(Path(trial.log), trial.digest)
     return {f"disc_{name}": diameter for name, diameter in zip(names, diameters, strict=True)}
 
 
-def _mean_discs(trials: Sequence[ResultSummary]) -> list[Figure]:
+def _disc_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return the mean diameter of each robot's disc over the trials, with its 95 % interval.
 
     Trials without a diameter do not count. The list is empty if the spec has no hold.
@@ -369,7 +379,7 @@ def _mean_discs(trials: Sequence[ResultSummary]) -> list[Figure]:
     return figures
 
 
-DISC = Statistic(_mean_discs, _disc_columns)
+DISC = Statistic(_disc_figures, _disc_columns)
 
 # ---- Time for decisions ----
 
@@ -377,7 +387,7 @@ PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
 """Percentiles of the solve time by their keys."""
 
 
-def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
+def _solve_time_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return percentiles of the solve times while robots drove, and the longest other solve time.
 
     The first plan, and plans for stationary robots, may take as long as they need.
@@ -398,7 +408,7 @@ def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
     return [*figures, Figure("", "", {"solve_ms": times_ms, "solve_all_max_ms": longest_ms})]
 
 
-SOLVE_MS = Statistic(_solve_ms)
+SOLVE_MS = Statistic(_solve_time_figures)
 DEADLINE_MISSES = total(
     "deadline_misses",
     "deadline misses",
@@ -419,30 +429,30 @@ def _lag_columns(trial: ResultSummary) -> dict[str, Any]:
     return {"wheel_lag_s": trial.result.wheel_lag_s} if on_wheels else {}
 
 
-def _mean_lag(trials: Sequence[ResultSummary]) -> list[Figure]:
+def _lag_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return the mean lag of the wheels that the controller estimated.
 
     It is marked as unusual if it differs from the lag in the spec.
     """
-    found = [trial.result.wheel_lag_s for trial in trials if trial.result.wheel_lag_s is not None]
-    if not found:
+    lags_s = [trial.result.wheel_lag_s for trial in trials if trial.result.wheel_lag_s is not None]
+    if not lags_s:
         return [Figure("", "", {"wheel_lag_s": None})]
-    (distribution,) = distributions(np.array([found]))
+    (distribution,) = distributions(np.array([lags_s]))
     interval = ""
     if distribution.ci95.known:
         interval = f", 95 % interval {distribution.ci95.text('{:.3f}'.format)}"
     stated_s = trials[0].experiment.setup.lag_s
-    text = f"{distribution.mean:.3f} found (n {len(found)}{interval}), {stated_s:.3f} in the spec"
+    text = f"{distribution.mean:.3f} found (n {len(lags_s)}{interval}), {stated_s:.3f} in the spec"
     is_wrong = abs(distribution.mean - stated_s) > LAG_ERROR_S
     return [Figure("lag of the wheels [s]", text, {"wheel_lag_s": distribution.mean}, is_wrong)]
 
 
-WHEEL_LAG = Statistic(_mean_lag, _lag_columns)
+WHEEL_LAG = Statistic(_lag_figures, _lag_columns)
 
 # ---- Robots that turn by themselves ----
 
 
-def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
+def _turn_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return a figure of how many trials have a robot that turned differently than in the others.
 
     If too few trials are known, the figure is not shown, and its JSON value is None.
@@ -454,10 +464,12 @@ def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
         return [Figure("", "", {key: None})]
     unusual = [turn for turn in turns if turn.unusual]
     unusual_trials = len({turn.log for turn in unusual})
-    return [Figure(label, _compared(turns, unusual), {key: unusual_trials}, unusual=bool(unusual))]
+    return [
+        Figure(label, _describe_turns(turns, unusual), {key: unusual_trials}, unusual=bool(unusual))
+    ]
 
 
-def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
+def _describe_turns(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
     """Describe how many of the compared trials are unusual, and in which robots by how much.
 
     If none is unusual, the deviation that would be seen in every trial is stated. `turns` must not
@@ -469,8 +481,10 @@ def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
     if not unusual:
         largest = max(turn.limit for turn in turns)
         return f"{text}, turns above {largest:.2f} rad/s would be noticed"
-    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in unusual]
-    return f"{text}, by wheels that changed or false poses: {join_listed(named, '; ')}"
+    descriptions = [
+        f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in unusual
+    ]
+    return f"{text}, by wheels that changed or false poses: {join_listed(descriptions, '; ')}"
 
 
-TURN = Statistic(_turned, turn_columns)
+TURN = Statistic(_turn_figures, turn_columns)

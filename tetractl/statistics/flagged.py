@@ -55,13 +55,13 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
     TOUCHED_EACH_OTHER: Verdict.touched,
 }
 """What must not happen, with a function that returns which robots of a given radius did it."""
-CHANCE = 0.01
+FALSE_ALARM_FRACTION = 0.01
 """Fraction of batches in which a rate is beyond its limit by chance."""
-TRIALS_MIN = 6
+COMPARED_TRIALS_MIN = 6
 """Minimum number of trials with a known rate that are compared."""
-FEW = 14.0
+FEW_TRIALS = 14.0
 """Number n of trials for which the factor 1 + FEW / n doubles the deviation s; see above."""
-UNCONFIRMED = 2.0
+CONFIRMED_ERRORS_MAX = 2.0
 """Maximum number of standard errors of a rate that counts as 0, with too few trials to compare."""
 DEVIATION_OVER_MEDIAN = 1.4826
 """Standard deviation of normal values over the median of their distances to the median."""
@@ -100,10 +100,10 @@ def flagged(batch: Batch) -> list[Flagged]:
     for trial in batch.attempts:
         notes = (ATTEMPT, *trial_notes(trial))
         logs.append(Flagged(trial.log, trial.outcome.value, notes))
-    lost = [
+    unreadable = [
         Flagged(log.log, "cannot be read", (ATTEMPT, log.problem)) for log in batch.lost_attempts
     ]
-    return [*logs, *lost]
+    return [*logs, *unreadable]
 
 
 def trial_notes(trial: ResultSummary) -> list[str]:
@@ -113,9 +113,9 @@ def trial_notes(trial: ResultSummary) -> list[str]:
     """
     result = trial.result
     notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
-    lost = sum(result.lost)
-    if lost:
-        notes.append(f"{lost} {pluralize('robot', lost)} lost")
+    lost_count = sum(result.lost)
+    if lost_count:
+        notes.append(f"{lost_count} {pluralize('robot', lost_count)} lost")
     if trial.outcome is Outcome.STEPS_MAX:
         notes.append(f"did not end in {result.steps} steps")
     if trial.outcome is Outcome.TIME_LIMIT:
@@ -174,24 +174,28 @@ def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
 
     A robot is left out if its rate is known in fewer than TRIALS_MIN trials.
     """
-    for i, robot, compared in _measured(trials):
-        n = len(compared)
-        if n < TRIALS_MIN:
+    for i, robot, compared in _trials_with_turn(trials):
+        trial_count = len(compared)
+        if trial_count < COMPARED_TRIALS_MIN:
             continue
         rates = np.array([trial.result.verdict.turn[i] for trial in compared])
         errors = np.array([trial.result.verdict.turn_std[i] for trial in compared])
-        off = rates - np.median(rates)
-        deviation = (1 + FEW / n) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
-        unexplained = max(0.0, deviation**2 - np.median(errors) ** 2)  # by the errors
+        deviations = rates - np.median(rates)
+        spread = (
+            (1 + FEW_TRIALS / trial_count) * DEVIATION_OVER_MEDIAN * np.median(np.abs(deviations))
+        )
+        unexplained = max(0.0, spread**2 - np.median(errors) ** 2)  # by the errors
         robots = len(trials[0].experiment.setup.names)
-        chance_of_one_side = CHANCE / (2 * robots * n)
-        z = NormalDist().inv_cdf(1 - chance_of_one_side)
-        limits = z * np.sqrt(errors**2 + unexplained)
-        for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
-            yield TrialTurn(trial.log, robot, trial_off, limit)
+        chance_of_one_side = FALSE_ALARM_FRACTION / (2 * robots * trial_count)
+        quantile = NormalDist().inv_cdf(1 - chance_of_one_side)
+        limits = quantile * np.sqrt(errors**2 + unexplained)
+        for trial, deviation, limit in zip(
+            compared, deviations.tolist(), limits.tolist(), strict=True
+        ):
+            yield TrialTurn(trial.log, robot, deviation, limit)
 
 
-def _measured(
+def _trials_with_turn(
     trials: Sequence[ResultSummary],
 ) -> Iterator[tuple[int, str, list[ResultSummary]]]:
     """Yield the index and name of each robot, and the trials in which its turning rate is known.
@@ -200,8 +204,10 @@ def _measured(
     """
     measured = [trial for trial in trials if trial.result.verdict.turn]
     for i, robot in enumerate(trials[0].experiment.setup.names if trials else ()):
-        known = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
-        yield i, robot, known
+        trials_with_rate = [
+            trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])
+        ]
+        yield i, robot, trials_with_rate
 
 
 def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
@@ -209,22 +215,24 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
 
     Robots with TRIALS_MIN trials are compared by `turned_otherwise` instead.
     """
-    texts = defaultdict[str, list[str]](list)
-    for i, robot, known in _measured(trials):
-        if len(known) >= TRIALS_MIN:
+    remarks = defaultdict[str, list[str]](list)
+    for i, robot, measured_trials in _trials_with_turn(trials):
+        if len(measured_trials) >= COMPARED_TRIALS_MIN:
             continue
-        for trial in known:
+        for trial in measured_trials:
             result = trial.result
             rate = result.verdict.turn[i]
-            if abs(rate) <= UNCONFIRMED * result.verdict.turn_std[i]:
+            if abs(rate) <= CONFIRMED_ERRORS_MAX * result.verdict.turn_std[i]:
                 continue
             setup = trial.experiment.setup
             distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MM
             off_mm = abs(rate) * result.duration_s * distance_mm / 2
-            turned = f"it turned by {rate:+.2f} rad/s on its own"
-            off = f"if its wheels are equal, its position is up to {off_mm:.0f} mm off"
-            texts[trial.log].append(f"the heading of {robot} is not confirmed: {turned}; {off}")
-    return texts
+            observation = f"it turned by {rate:+.2f} rad/s on its own"
+            consequence = f"if its wheels are equal, its position is up to {off_mm:.0f} mm off"
+            remarks[trial.log].append(
+                f"the heading of {robot} is not confirmed: {observation}; {consequence}"
+            )
+    return remarks
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
@@ -232,15 +240,15 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
 
     Logs without such a robot are left out.
     """
-    texts = defaultdict[str, list[str]](list)
+    remarks = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
         if turn.unusual:
-            text = (
+            remark = (
                 f"{turn.robot} turned at a rate that differs by {turn.off:+.2f} rad/s "
                 "from its other trials"
             )
-            texts[turn.log].append(text)
-    return texts
+            remarks[turn.log].append(remark)
+    return remarks
 
 
 def turn_columns(trial: ResultSummary) -> dict[str, Any]:

@@ -30,13 +30,13 @@ class Figure:
     """One figure of a batch, such as a mean: a line in tables, and items in JSON.
 
     Attributes:
-        label: Its label in tables. Empty if it is in JSON only.
-        text: Its text in tables.
-        items: Its items of JSON.
-        unusual: Whether a reader must see it, such as damaged logs. Other figures are shown only
-            with `--full`.
-        brief: The text next to those of other batches. None if it is the same, empty if the figure
-            is left out there.
+        label: The label in tables. Empty for a figure that is only in JSON.
+        text: The text in tables.
+        items: The items in JSON.
+        unusual: Whether a reader must see the figure, for example the number of damaged logs. Other
+            figures are shown only with `--full`.
+        brief: The text in a table of several batches. None to use `text`, empty to leave out the
+            figure there.
     """
 
     label: str
@@ -47,25 +47,27 @@ class Figure:
 
 
 def share_figure(
-    key: str, label: str, holding: int, n: int, counting: str = "", unusual: bool = True
+    key: str, label: str, holding: int, trials: int, counting: str = "", unusual: bool = True
 ) -> Figure:
-    """Create a figure: in how many of n trials a condition holds, with Wilson's interval.
+    """Create a figure: in how many trials a condition holds, with Wilson's interval.
 
     Args:
         key: Key of the statistic.
         label: Its label in tables.
-        holding: Number of trials for which it holds.
-        n: Number of trials.
+        holding: Number of trials for which the condition holds.
+        trials: Number of trials.
         counting: What the condition refers to, such as "bodies", if that can differ.
-        unusual: Whether it is unusual that the condition holds.
+        unusual: Whether the figure is unusual; see `Figure`.
     """
-    ci95 = proportion_interval(holding, n)
-    trials = f"{holding} of {n}"
-    text = f"{trials}{percent(ci95)}"
+    ci95 = proportion_interval(holding, trials)
+    count_text = f"{holding} of {trials}"
+    text = f"{count_text}{percent(ci95)}"
     items = {key: holding, f"{key}_ci95": ci95.bounds}
     if not counting:
         return Figure(label, text, items, unusual)
-    return Figure(label, f"{text}, counting {counting}", items, unusual, f"{trials} ({counting})")
+    return Figure(
+        label, f"{text}, counting {counting}", items, unusual, f"{count_text} ({counting})"
+    )
 
 
 def mean_figure(key: str, label: str, values: Distribution, states_n: bool = False) -> Figure:
@@ -77,9 +79,9 @@ def mean_figure(key: str, label: str, values: Distribution, states_n: bool = Fal
         values: The distribution.
         states_n: Whether the text states the number of trials.
     """
-    show = create_length_format(values.mean)
-    n = f"n {values.n}, " if states_n else ""
-    text = f"{show(values.mean)} ({n}95 % interval {values.ci95.text(show)})"
+    format_mean = create_length_format(values.mean)
+    n_text = f"n {values.n}, " if states_n else ""
+    text = f"{format_mean(values.mean)} ({n_text}95 % interval {values.ci95.text(format_mean)})"
     return Figure(label, text, {key: values.as_dict()})
 
 
@@ -136,8 +138,8 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
-        holding = sum(map(holds, trials))
-        return [Figure(label, str(holding), {key: holding})]
+        holding_count = sum(map(holds, trials))
+        return [Figure(label, str(holding_count), {key: holding_count})]
 
     return Statistic(of_batch)
 
@@ -154,8 +156,8 @@ def fraction(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> St
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
-        holding = sum(map(holds, trials))
-        return [share_figure(key, label, holding, len(trials))]
+        holding_count = sum(map(holds, trials))
+        return [share_figure(key, label, holding_count, len(trials))]
 
     return Statistic(of_batch)
 

@@ -417,7 +417,7 @@ class _SteeringChecks:
             sent = self._steer_robots(direction, self.all_robots)
             self._check_turning("steer: turns the robots towards the direction", sent, direction)
         # of the last one
-        as_asked = sent.action == Steer(DIRECTION_RAD) and sent.delivered == self.all
+        as_asked = sent.action == Steer(DIRECTION_RAD) and sent.delivered == self.all_robots
         expect_true("steer: action, robots", as_asked)
         age_ns = self.robots.clock.now() - sent.sent_ns
         expect_true("steer: is sent at once", 0 <= age_ns <= SECOND)

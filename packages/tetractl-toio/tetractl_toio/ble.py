@@ -11,7 +11,7 @@ from typing import Any
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import OnReceived, SerialPort
-from tetractl_toio.messages import SERVICE, TOGETHER_S, Characteristic, Unpacker, pack
+from tetractl_toio.messages import SAME_EVENT_S, SERVICE, Characteristic, Unpacker, pack
 
 FIND_S = 10.0
 """Maximum duration of the search for a cube [s]."""
@@ -165,7 +165,7 @@ class BluetoothPort(SerialPort):
         If they were passed on one by one, an older reading would seem as new as the latest one.
         """
         if not self._collected:
-            self._loop.call_later(TOGETHER_S, self._deliver_collected, self._clock.now())
+            self._loop.call_later(SAME_EVENT_S, self._deliver_collected, self._clock.now())
         self._collected += pack(kind, bytes(data))
 
     def _deliver_collected(self, at_ns: int) -> None:

@@ -12,7 +12,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import OnReceived, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, UdpPort
-from tetractl_toio.messages import TOGETHER_S, Characteristic, Unpacker, pack, refused
+from tetractl_toio.messages import SAME_EVENT_S, Characteristic, Unpacker, is_refusal, pack
 
 UDP_HINT = "is `tetractl lab emulate` running in another terminal, with the same spec?"
 HINT = (
@@ -110,7 +110,7 @@ class Cubes:
             for characteristic, payload in messages:
                 if characteristic == Characteristic.EMULATED:
                     self.emulated = True
-                if characteristic == Characteristic.CONFIGURATION and refused(payload):
+                if characteristic == Characteristic.CONFIGURATION and is_refusal(payload):
                     self._links[
                         cube
                     ].failure = f"cube {cube} refuses a setting: it answered {payload.hex()}"
@@ -196,9 +196,9 @@ class CubesLink:
 class EmulatedCubePort(UdpPort):
     """The UDP port to an emulated cube.
 
-    Datagrams that arrive within TOGETHER_S are passed on as one. On a busy computer, datagrams wait
-    before they are read. Without this grouping, an old reading that waited would count as a new
-    one.
+    Datagrams that arrive within SAME_EVENT_S are passed on together. On a busy computer, datagrams
+    wait before they are read. Without this grouping, an old reading that has waited would count as
+    a new reading.
     """
 
     def _read(self) -> None:
@@ -207,7 +207,7 @@ class EmulatedCubePort(UdpPort):
             with suppress(TimeoutError, ConnectionError):
                 data = self._received()
                 at_ns = self._clock.now()
-                self._closing.wait(TOGETHER_S)
+                self._closing.wait(SAME_EVENT_S)
                 while select.select([self._socket], [], [], 0)[0]:
                     data += self._received()
                 self._on_received(data, at_ns)

@@ -25,18 +25,25 @@ RADIUS_MM = 13.3
 """Distance from a wheel to the cube's centre [mm]: its wheels are 26.6 mm apart."""
 MAT_MM = 1.36
 """Length of a unit of the mat's coordinates [mm]."""
-TOGETHER_S = 0.003
-"""Maximum time between messages of one event of the connection [s].
+SAME_EVENT_S = 0.003
+"""Maximum time between messages of the same connection event [s].
 
-Two events are 7.5 ms apart.
+Connection events are 7.5 ms apart.
 """
-POSITION = 0x01  # first byte of a notification of a pose
-MISSED = 0x03  # first byte of one that says that no mat is seen
+ON_MAT = 0x01
+"""First byte of a notification of a position on the mat."""
+NO_MAT = 0x03
+"""First byte of a notification that the cube sees no mat."""
 LEFT_MOTOR = 1
+"""Number of the left motor in a motor command."""
 RIGHT_MOTOR = 2
+"""Number of the right motor in a motor command."""
 FORWARD = 1
+"""Value of a motor's direction in a motor command for driving forward."""
 BACKWARD = 2
-DURATION_MS = 10  # unit of a motor command's duration and of a notification interval
+"""Value of a motor's direction in a motor command for driving backward."""
+DURATION_MS = 10
+"""Unit of the duration of a motor command, and of the interval of notifications [ms]."""
 NOTIFY_READINGS = bytes([0x18, 0, 1, 0])
 """The setting that makes a cube notify its reading each DURATION_MS, changed or not."""
 NOTIFY_MISSED = bytes([0x19, 0, 1])
@@ -46,7 +53,7 @@ NOTIFY_MISSED = bytes([0x19, 0, 1])
 class Characteristic(IntEnum):
     """A cube's characteristic: the part of its UUID that differs from the service's UUID."""
 
-    EMULATED = 0x00  # none of a real cube: an emulated one sends its name
+    EMULATED = 0x00  # a real cube does not have it; an emulated cube notifies its name
     ID = 0x01
     MOTOR = 0x02
     BATTERY = 0x08
@@ -96,7 +103,7 @@ def decode_reading(data: bytes) -> CubeReading | None:
     Raises:
         WireError: If the data is not such a notification.
     """
-    if len(data) == 13 and data[0] == POSITION:
+    if len(data) == 13 and data[0] == ON_MAT:
         x, y, angle = struct.unpack_from("<HHH", data, 1)
         if angle <= 360:
             return CubeReading(x, y, angle)
@@ -111,9 +118,9 @@ def encode_reading(reading: CubeReading | None) -> bytes:
     A real notification also contains the position of the sensor. Here it equals the centre.
     """
     if reading is None:
-        return bytes([MISSED])
-    place = (reading.x, reading.y, reading.angle)
-    return struct.pack("<BHHHHHH", POSITION, *place, *place)
+        return bytes([NO_MAT])
+    position = (reading.x, reading.y, reading.angle)
+    return struct.pack("<BHHHHHH", ON_MAT, *position, *position)
 
 
 def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
@@ -132,14 +139,17 @@ def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
         raise ValueError(
             f"motor speeds {left_speed}, {right_speed} for {duration_ms} ms are out of range"
         )
-    motors = (*_motor(LEFT_MOTOR, left_speed), *_motor(RIGHT_MOTOR, right_speed))
+    motors = (
+        *_encode_motor_values(LEFT_MOTOR, left_speed),
+        *_encode_motor_values(RIGHT_MOTOR, right_speed),
+    )
     return bytes([0x02, *motors, duration_ms // DURATION_MS])
 
 
-def _motor(motor: int, speed: int) -> tuple[int, int, int]:
+def _encode_motor_values(motor: int, speed: int) -> tuple[int, int, int]:
     """Return the three values that command one motor: its number, direction and absolute speed.
 
-    Speed 0 has the direction FORWARD.
+    A speed of 0 has the direction FORWARD.
     """
     return motor, FORWARD if speed >= 0 else BACKWARD, abs(speed)
 
@@ -154,16 +164,16 @@ def decode_motor(data: bytes) -> MotorCommand:
     if (len(data), data[:1]) not in ((8, b"\x02"), (7, b"\x01")):
         raise WireError(f"these bytes are not a motor command: {data.hex()}")
     speeds: dict[int, int] = {}
-    for motor, direction, size in (data[1:4], data[4:7]):
+    for motor, direction, absolute_speed in (data[1:4], data[4:7]):
         is_motor = motor in (LEFT_MOTOR, RIGHT_MOTOR) and motor not in speeds
         if not is_motor or direction not in (FORWARD, BACKWARD):
             raise WireError(f"a cube would ignore this motor command: {data.hex()}")
-        speeds[motor] = size if direction == FORWARD else -size
+        speeds[motor] = absolute_speed if direction == FORWARD else -absolute_speed
     duration_ms = DURATION_MS * data[7] if len(data) == 8 else 0
     return MotorCommand(speeds[LEFT_MOTOR], speeds[RIGHT_MOTOR], duration_ms)
 
 
-def refused(data: bytes) -> bool:
+def is_refusal(data: bytes) -> bool:
     """Check whether a notification of `CONFIGURATION` reports that the cube refused a setting.
 
     Only the settings of NOTIFY_READINGS and NOTIFY_MISSED are considered.
@@ -183,16 +193,16 @@ class Unpacker:
     """Splits the byte stream of a port into messages. It is the inverse of `pack`."""
 
     def __init__(self) -> None:
-        self._left = b""
+        self._unfinished = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Add received bytes, and yield characteristic and data of each complete message.
 
         Bytes of an incomplete message are kept for the next call.
         """
-        self._left += data
-        while len(self._left) >= 2 and len(self._left) >= 2 + self._left[1]:
-            end = 2 + self._left[1]
-            message = self._left[:end]
-            self._left = self._left[end:]
+        self._unfinished += data
+        while len(self._unfinished) >= 2 and len(self._unfinished) >= 2 + self._unfinished[1]:
+            end = 2 + self._unfinished[1]
+            message = self._unfinished[:end]
+            self._unfinished = self._unfinished[end:]
             yield message[0], message[2:]

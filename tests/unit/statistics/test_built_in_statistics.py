@@ -308,7 +308,7 @@ def test_frames_without_a_pose_are_left_out_of_a_disc(made_up):
 
 def test_discs_are_of_trials_with_a_hold_longer_than_its_settling(monkeypatch):
     read = []
-    monkeypatch.setattr(built_in, "_discs_of", lambda log, digest: read.append(log) or (30.0,))
+    monkeypatch.setattr(built_in, "_cached_discs", lambda log, digest: read.append(log) or (30.0,))
     trials = ended(Outcome.TIME_LIMIT, Outcome.ABORTED, Outcome.TIME_LIMIT, spec=holding())
     columns = [built_in.DISC.of_trial(trial) for trial in trials]
     assert columns == [{"disc_green": diameter} for diameter in (30.0, None, 30.0)]

@@ -14,12 +14,16 @@ if TYPE_CHECKING:
 
 
 def check_kind(kind: str) -> None:
-    """Raise UsageError if there is no figure of this name, or if its package is not installed."""
+    """Check that there is a figure of this name.
+
+    Raises:
+        UsageError: If there is no such figure, or if its package is not installed.
+    """
     if kind not in FIGURES:
-        lack = not_installed(FIGURES.group, kind)
-        if lack is not None:
-            why, hint = lack
-            raise UsageError(f"{kind}: {why}", hint)
+        missing_package = not_installed(FIGURES.group, kind)
+        if missing_package is not None:
+            reason, hint = missing_package
+            raise UsageError(f"{kind}: {reason}", hint)
         names = ", ".join(FIGURES.names())
         raise UsageError(
             f"there is no figure named {kind!r}", f"the figures are {names}, and video"
@@ -27,31 +31,41 @@ def check_kind(kind: str) -> None:
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
-    """Draw the figure named `kind` of trials, with a headline.
+    """Draw a figure of trials by its name, with a headline.
 
     The headline names the plants, which are the simulated or real robots, and counts the incomplete
-    trials. Of the built-in figures, only `trajectory`, `errors` and `batch` show several trials.
+    trials. Most built-in figures show a single trial. Only `trajectory`, `errors` and `batch` can
+    show several trials.
+
+    Args:
+        kind: Name of the figure.
+        logs: The trials.
+
+    Raises:
+        UsageError: If there is no such figure, if its package is not installed, or if the figure
+            cannot show these trials.
     """
     from tetractl.view.style import headline
 
     check_kind(kind)
     figure = FIGURES.load(kind)(logs)
     plants = sorted({log.origin.value for log in logs})
-    headline(figure, ", ".join(plants), _broken_off(logs))
+    headline(figure, ", ".join(plants), _note_on_incomplete(logs))
     return figure
 
 
-def _broken_off(logs: "Sequence[TrialLog]") -> str:
-    """Return a figure's note on incomplete trials: how a single one ended, or how many there are.
+def _note_on_incomplete(logs: "Sequence[TrialLog]") -> str:
+    """Describe the incomplete trials of a figure for its headline.
 
-    Empty if all trials are complete.
+    The text says how a single trial ended, or how many trials are incomplete. It is empty if all
+    trials are complete.
     """
     from tetractl.view.figures.trials import unfinished
 
     if len(logs) == 1:
         return unfinished(logs[0])
-    cut = sum(1 for log in logs if unfinished(log))
-    if not cut:
+    incomplete = sum(1 for log in logs if unfinished(log))
+    if not incomplete:
         return ""
-    counted = "" if cut == len(logs) else ", not in the means"
-    return f"{cut} of {len(logs)} trials did not run to their end{counted}"
+    exclusion = "" if incomplete == len(logs) else ", not in the means"
+    return f"{incomplete} of {len(logs)} trials did not run to their end{exclusion}"

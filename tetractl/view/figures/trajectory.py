@@ -2,8 +2,8 @@
 
 The paths of cells in a dish are drawn over the microscope's image.
 
-`trajectory_figure` draws the scene (`draw_scene`), the paths (`_draw_one` or `_draw_several`),
-their ends, and a legend of robots above and of signs below.
+`trajectory_figure` draws the scene (`draw_scene`), the paths (`_draw_single_trial` or
+`_draw_several_trials`), their ends, a legend of the robots above, and a legend of the signs below.
 
 Shapes: T trials of N robots; a trail is (M, N, 2), NaN where a robot was not seen. Places are in
 the trials' unit of length, sizes on paper in points [1/72 inch] or inches.
@@ -48,17 +48,17 @@ ABOVE_AND_BELOW_AXES_IN = 0.5
 """Space above and below the axes for their labels [in]. BESIDE_AXES_IN is that beside them."""
 LEGEND_LINE_IN = 0.156
 """Height of a line of a legend [in]."""
-SHAPE_LEAST = 0.3
-SHAPE_MOST = 2.0
+SHAPE_MIN = 0.3
+SHAPE_MAX = 2.0
 """Maximum height of the axes, relative to their width. SHAPE_LEAST is the minimum."""
 PARTS_OF_ARENA = 9
 """Maximum number of parts into which ticks divide the arena's longer side."""
-NAMED_MOST = 30
+NAMED_MAX = 30
 """Maximum number of robots that have entries in the legend."""
 LETTER_PT = 3.9
 SIGN_PT = 20.0
 """Width of a sign of the legend with its gaps [points]. LETTER_PT is the width of a letter."""
-LEGEND_COLUMNS_MOST = 6
+LEGEND_COLUMNS_MAX = 6
 SIGNS_IN_A_LINE = 5
 """Maximum number of signs in one line. More signs are in lines of three."""
 PICTURE_SIDE_IN = 5.0
@@ -67,18 +67,18 @@ PICTURE_PIXELS_PER_INCH = 100
 
 MARGIN = 0.02
 """Distance of a path that leaves the arena from the frame, relative to the arena's longer side."""
-FAR = 2.0
+FAR_OUTSIDE_MAX = 2.0
 """Maximum distance outside the arena at which a path is shown, relative to its longer side.
 
 An outlier therefore does not hide the rest.
 """
-TRUTH_SEEN = 0.005
+TRUTH_DISTANCE_MIN = 0.005
 """Minimum distance at which a true path is drawn, relative to the arena's longer side.
 
 It is the distance of the true positions from the measured ones.
 """
 
-TIMES_MOST = 5
+TIMES_MAX = 5
 LAST_TIME = 0.92
 """Fraction of the trial after which no time is marked, because the end has its own sign.
 
@@ -88,7 +88,7 @@ TICK = 0.028
 """Length of a tick that shows a heading, relative to the arena's longer side."""
 LABEL_ASIDE_PT = 9.0
 """Distance of a time from its robot, to the left of the robot's heading [points]."""
-ERROR_SEEN = 0.04
+ERROR_LINE_MIN = 0.04
 """Minimum error that leaves a line between the signs of end and target free.
 
 It is relative to the arena's longer side.
@@ -120,22 +120,28 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     colors = robot_colors(setup.names, setup.colors)
     trails = [log.positions for log in logs]
     ends = np.array([final_poses(log)[:, :2] for log in logs])  # (T, N, 2)
-    alone = len(logs) == 1
+    is_single = len(logs) == 1
 
-    title, entries = _heading(logs, ends)
-    figure = _titled_figure(setup.arena, title, entries, colors)
+    title, entries = _compose_heading(logs, ends)
+    figure = _create_titled_figure(setup.arena, title, entries, colors)
     axes = figure.subplots()
     draw_scene(axes, setups, colors, trails)
     leaves = _set_limits(axes, setup.arena, [ends, *trails])
-    truth = _visible_truth(logs[0]) if alone else None
-    if alone:
-        _draw_one(axes, logs[0], colors, truth)
+    truth = _visible_truth(logs[0]) if is_single else None
+    if is_single:
+        _draw_single_trial(axes, logs[0], colors, truth)
     else:
-        _draw_several(axes, trails, colors)
+        _draw_several_trials(axes, trails, colors)
     for robot, color in enumerate(colors):
-        axes.plot(*ends[:, robot].T, "D", ms=5 if alone else 3, color=color, **END)
-    far = alone and bool(_shows_error(logs[0]).any())
-    _name_signs(figure, logs, leaves=leaves, truth=truth is not None, far=far)
+        axes.plot(*ends[:, robot].T, "D", ms=5 if is_single else 3, color=color, **END)
+    shows_errors = is_single and bool(_robots_with_error_line(logs[0]).any())
+    _add_sign_legend(
+        figure,
+        logs,
+        leaves_arena=leaves,
+        shows_truth=truth is not None,
+        shows_errors=shows_errors,
+    )
     return figure
 
 
@@ -161,9 +167,9 @@ def draw_scene(
     arena = setup.arena
     axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
-    ticks = _nice_step(arena.longer_side, PARTS_OF_ARENA)
+    tick_step = _round_step(arena.longer_side, PARTS_OF_ARENA)
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MultipleLocator(ticks))
+        axis.set_major_locator(MultipleLocator(tick_step))
     for side in ("top", "right"):
         axes.spines[side].set_visible(True)
     for obstacle in setup.obstacles:
@@ -174,30 +180,30 @@ def draw_scene(
     targets = np.unique([trial.targets for trial in setups], axis=0)  # (K, N, 2), K assignments
     for robot, color in enumerate(colors):
         target_color = style.GREY if len(targets) > 1 else color
-        look: dict[str, Any] = {"zorder": 4, "clip_on": False}
-        axes.plot(*starts[:, robot].T, "o", ms=6, mfc="white", mec=color, **look)
-        axes.plot(*targets[:, robot].T, "s", ms=7, mfc="none", mec=target_color, **look)
+        marker_style: dict[str, Any] = {"zorder": 4, "clip_on": False}
+        axes.plot(*starts[:, robot].T, "o", ms=6, mfc="white", mec=color, **marker_style)
+        axes.plot(*targets[:, robot].T, "s", ms=7, mfc="none", mec=target_color, **marker_style)
         for point in setup.legs[:-1, robot]:
-            axes.plot(*point, "s", ms=4, mfc="none", mec=target_color, **look)
+            axes.plot(*point, "s", ms=4, mfc="none", mec=target_color, **marker_style)
         if setup.hold is not None:
             for target in targets[:, robot]:
                 circle = Circle(target, setup.hold.radius, fill=False, ec=target_color, lw=0.6)
                 axes.add_patch(circle)
     if len(setup.names) >= NUMBERED:
         for robot, color in enumerate(colors):
-            _number(axes, robot, color, starts[0, robot], aside_pt=(0, 0))
-            _number(axes, robot, color, setup.targets[robot], aside_pt=(6.5, 4))
+            _write_number(axes, robot, color, starts[0, robot], aside_pt=(0, 0))
+            _write_number(axes, robot, color, setup.targets[robot], aside_pt=(6.5, 4))
 
 
-def _number(
-    axes: Axes, robot: int, color: str, place: Floats, aside_pt: tuple[float, float]
+def _write_number(
+    axes: Axes, robot: int, color: str, position: Floats, aside_pt: tuple[float, float]
 ) -> None:
     """Write the number of a robot, its index plus 1, beside a place.
 
     `aside_pt` is the offset of the text from the place, x and y [pt].
     """
     axes.annotate(
-        str(robot + 1), tuple(place), aside_pt, textcoords="offset points", ha="center",
+        str(robot + 1), tuple(position), aside_pt, textcoords="offset points", ha="center",
         va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
     )  # fmt: skip
 
@@ -207,16 +213,25 @@ class DishGround:
 
     def __init__(self, axes: Axes, log: TrialLog) -> None:
         self._pictures = DishPictures(log)
-        self._shown = -1
+        self._shown_index = -1
         self._image = None
-        if not self._pictures.times:
+        if not self._pictures.times_ns:
             return
-        low, right, up = self._pictures.corners
-        place = Affine2D(np.vstack([np.column_stack([right - low, up - low, low]), [0, 0, 1]]))
+        lower_left, lower_right, upper_left = self._pictures.corners
+        image_to_axes = Affine2D(
+            np.vstack(
+                [
+                    np.column_stack(
+                        [lower_right - lower_left, upper_left - lower_left, lower_left]
+                    ),
+                    [0, 0, 1],
+                ]
+            )
+        )
         limits = axes.axis()
         self._image = axes.imshow(
             self._pictures.grey(0), extent=(0, 1, 0, 1), interpolation="bilinear",
-            transform=place + axes.transData, **PICTURE,
+            transform=image_to_axes + axes.transData, **PICTURE,
         )  # fmt: skip
         axes.axis(limits)
 
@@ -226,31 +241,36 @@ class DishGround:
         Returns:
             Whether the image that is shown has changed.
         """
-        picture = self._pictures.at(when_ns)
-        if picture is None or picture == self._shown:
+        index = self._pictures.index_at(when_ns)
+        if index is None or index == self._shown_index:
             return False
         assert self._image is not None, "`_image` is set if there are pictures"
-        self._image.set_data(self._pictures.grey(picture))
-        self._shown = picture
+        self._image.set_data(self._pictures.grey(index))
+        self._shown_index = index
         return True
 
 
 def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Set the limits of the axes to show the whole arena and all paths, up to the distance FAR.
+    """Set the limits of the axes to show the whole arena, and all paths up to FAR_OUTSIDE_MAX.
 
-    If a path leaves the arena, the arena's edge is dashed, and the result is True.
+    Returns:
+        Whether a path leaves the arena. The arena's edge is then drawn as a dashed line.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
     points = points[np.isfinite(points).all(axis=1)]
     margin = MARGIN * arena.longer_side
-    far = FAR * arena.longer_side
-    least = points.min(axis=0, initial=np.inf)
-    most = points.max(axis=0, initial=-np.inf)
-    low = np.where(least < corners[0], np.maximum(least - margin, corners[0] - far), corners[0])
-    high = np.where(most > corners[1], np.minimum(most + margin, corners[1] + far), corners[1])
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    leaves = bool((low < corners[0]).any() or (high > corners[1]).any())
+    far_outside = FAR_OUTSIDE_MAX * arena.longer_side
+    minima = points.min(axis=0, initial=np.inf)
+    maxima = points.max(axis=0, initial=-np.inf)
+    lower_limits = np.where(
+        minima < corners[0], np.maximum(minima - margin, corners[0] - far_outside), corners[0]
+    )
+    upper_limits = np.where(
+        maxima > corners[1], np.minimum(maxima + margin, corners[1] + far_outside), corners[1]
+    )
+    axes.set(xlim=(lower_limits[0], upper_limits[0]), ylim=(lower_limits[1], upper_limits[1]))
+    leaves = bool((lower_limits < corners[0]).any() or (upper_limits > corners[1]).any())
     if leaves:
         edge = Rectangle((arena.left, arena.bottom), arena.width, arena.height)
         axes.add_patch(edge).set(**EDGE)
@@ -260,7 +280,7 @@ def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
 # ---- Paths ----
 
 
-def _draw_several(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> None:
+def _draw_several_trials(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> None:
     """Draw the paths of several trials, in fainter colours the more there are."""
     alpha = max(0.75 / len(trails) ** 0.25, 0.1)
     for trail in trails:
@@ -268,11 +288,16 @@ def _draw_several(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> No
             axes.plot(*trail[:, robot].T, color=color, lw=0.6, alpha=alpha, zorder=3)
 
 
-def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
+def _draw_single_trial(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
     """Draw the measured paths of one trial over its last image.
 
-    They are marked with times and headings, and with the errors at the end. The true paths `truth`
-    (M, N, 2) are drawn if they are given.
+    The paths are marked with times and headings, and with the errors at the end.
+
+    Args:
+        axes: The axes.
+        log: The trial.
+        colors: The robots' colours.
+        truth: The true paths to draw, shape (M, N, 2). None to draw no true paths.
     """
     setup = log.start.setup
     trail = log.positions
@@ -285,34 +310,34 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
             axes.plot(*truth[:, robot].T, color=style.INK, zorder=3.5, **DASHED)
         for time_s in _marked_times(log):
             _mark_time(axes, log, robot, color, time_s)
-    for robot in np.flatnonzero(_shows_error(log)):
+    for robot in np.flatnonzero(_robots_with_error_line(log)):
         error = np.array([ends[robot], setup.targets[robot]])
         axes.plot(*error.T, color=colors[robot], zorder=2, **DOTTED)
 
 
-def _shows_error(log: TrialLog) -> Bools:
-    """Return for which robots (N,) a line fits between the marks of their end and target.
+def _robots_with_error_line(log: TrialLog) -> Bools:
+    """Find the robots (N,) for which a line fits between the marks of their end and target.
 
-    The distance must exceed ERROR_SEEN times the longer side of the arena.
+    The distance must exceed ERROR_LINE_MIN times the longer side of the arena.
     """
     errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
-    return np.asarray(errors > ERROR_SEEN * log.start.setup.arena.longer_side)
+    return np.asarray(errors > ERROR_LINE_MIN * log.start.setup.arena.longer_side)
 
 
 def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float) -> None:
     """Mark a time since the first direction on a robot's path, by a tick along its heading.
 
-    If there are fewer than NUMBERED robots, the time is written to the left of it. Nothing is drawn
-    where the robot was not seen.
+    If there are fewer than NUMBERED robots, the time is written to the left of the robot. Nothing
+    is drawn if the robot was not tracked at this time.
     """
     frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
     frame = min(frame, len(log.mocap) - 1)
     if not log.valid[frame, robot]:
         return
     x, y, heading = log.mocap[frame, robot].tolist()
-    ahead = TICK * log.start.setup.arena.longer_side
-    tip_x = x + ahead * math.cos(heading)
-    tip_y = y + ahead * math.sin(heading)
+    tick_length = TICK * log.start.setup.arena.longer_side
+    tip_x = x + tick_length * math.cos(heading)
+    tip_y = y + tick_length * math.sin(heading)
     axes.plot([x, tip_x], [y, tip_y], color=color, lw=1.0, zorder=3.6)
     axes.plot(x, y, ".", color=color, ms=4, zorder=3.6)
     if len(log.start.setup.names) >= NUMBERED:
@@ -325,15 +350,15 @@ def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float)
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
-    """Return the true positions (M, N, 2) if they visibly differ from the measured ones.
+    """Return the true positions (M, N, 2) if they visibly differ from the measured positions.
 
-    None if they are unknown, or if none is further from the measured position than TRUTH_SEEN.
+    The result is None if they are unknown, or if no difference exceeds TRUTH_DISTANCE_MIN.
     """
     if log.truth is None or not len(log.truth):
         return None
     truth = log.truth[..., :2]
     gaps = np.linalg.norm(truth - log.positions, axis=-1)
-    differs = np.nanmax(gaps, initial=0.0) > TRUTH_SEEN * log.start.setup.arena.longer_side
+    differs = np.nanmax(gaps, initial=0.0) > TRUTH_DISTANCE_MIN * log.start.setup.arena.longer_side
     return truth if differs else None
 
 
@@ -345,40 +370,46 @@ def _marked_times(log: TrialLog) -> list[float]:
     end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
         return []
-    step_s = _nice_step(end_s, TIMES_MOST)
+    step_s = _round_step(end_s, TIMES_MAX)
     return [float(time_s) for time_s in np.arange(step_s, end_s * LAST_TIME, step_s)]
 
 
 # ---- Legends ----
 
 
-def _titled_figure(arena: Bounds, title: str, entries: list[str], colors: list[str]) -> Figure:
+def _create_titled_figure(
+    arena: Bounds, title: str, entries: list[str], colors: list[str]
+) -> Figure:
     """Create an empty figure with a title, for axes with the shape of the arena.
 
-    Below the title are the `entries`, one for each robot, in as many columns as fit. There may be
-    none.
+    Below the title are the `entries`, which may be empty or one for each robot, in as many columns
+    as fit.
     """
     longest = max((len(entry) for entry in entries), default=0)
-    fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
-    columns = max(min(len(entries), fit, LEGEND_COLUMNS_MOST), 1)
+    columns_that_fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
+    columns = max(min(len(entries), columns_that_fit, LEGEND_COLUMNS_MAX), 1)
     lines = title.count("\n") + 1 + math.ceil(len(entries) / columns)
-    shape = min(max(arena.height / arena.width, SHAPE_LEAST), SHAPE_MOST)
+    shape = min(max(arena.height / arena.width, SHAPE_MIN), SHAPE_MAX)
     axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
     figure = style.figure(WIDTH_IN, axes_in + ABOVE_AND_BELOW_AXES_IN + LEGEND_LINE_IN * lines)
-    named = zip(entries, colors, strict=False)
+    labelled = zip(entries, colors, strict=False)
     figure.legend(
-        handles=[style.sign(entry, color=color, ls="-") for entry, color in named],
+        handles=[style.sign(entry, color=color, ls="-") for entry, color in labelled],
         title=title, title_fontsize=7, loc="outside upper center",
         ncols=columns, columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
     )  # fmt: skip
     return figure
 
 
-def _heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
-    """Return the title of a figure of trials, and an entry for each robot: its name and error.
+def _compose_heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
+    """Compose the title of a figure of trials, and an entry for each robot: its name and error.
 
-    The trials end at `ends` (T, N, 2). Means over several trials leave out incomplete ones. Trials
-    of several folders have no means, and more than NAMED_MOST robots no entries.
+    Means over several trials leave out incomplete trials. For trials of several folders, no means
+    are stated. For more than NAMED_MAX robots, there are no entries.
+
+    Args:
+        logs: The trials.
+        ends: Positions of the robots at the end of each trial, shape (T, N, 2).
     """
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
@@ -386,20 +417,20 @@ def _heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
     names = robot_labels(setup.names)
     folders = {log.log.rpartition("/")[0] for log in logs}
     if len(logs) == 1:
-        total = float(errors.sum())
-        show = create_length_format(total)
-        title = f"error at the end [{unit}], total {show(total)}"
-        entries = _with_errors(names, [show(error) for error in errors[0]])
+        total_error = float(errors.sum())
+        format_error = create_length_format(total_error)
+        title = f"error at the end [{unit}], total {format_error(total_error)}"
+        entries = _with_errors(names, [format_error(error) for error in errors[0]])
     elif len(folders) > 1:
         title = f"{len(logs)} trials of {len(folders)} folders"
         entries = names
     else:
         completed = np.array([not unfinished(log) for log in logs])
         counted = errors[completed] if completed.any() else errors
-        total = _mean_and_std(counted.sum(axis=1))
-        title = f"{len(logs)} trials, error at the end [{unit}], total {total}"
-        entries = _with_errors(names, [_mean_and_std(of_robot) for of_robot in counted.T])
-    return title, entries if len(entries) <= NAMED_MOST else []
+        total_error = _mean_and_std(counted.sum(axis=1))
+        title = f"{len(logs)} trials, error at the end [{unit}], total {total_error}"
+        entries = _with_errors(names, [_mean_and_std(robot_errors) for robot_errors in counted.T])
+    return title, entries if len(entries) <= NAMED_MAX else []
 
 
 def _with_errors(names: list[str], errors: list[str]) -> list[str]:
@@ -407,10 +438,7 @@ def _with_errors(names: list[str], errors: list[str]) -> list[str]:
 
 
 def _mean_and_std(errors: Floats) -> str:
-    """Return the mean of errors as text.
-
-    For two or more, the standard deviation (n - 1) follows.
-    """
+    """Format the mean of errors and, for two or more errors, their standard deviation (n - 1)."""
     mean = float(errors.mean())
     digits = 2
     if mean >= 10:
@@ -423,31 +451,39 @@ def _mean_and_std(errors: Floats) -> str:
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
-def _name_signs(
-    figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: bool, far: bool
+def _add_sign_legend(
+    figure: Figure,
+    logs: Sequence[TrialLog],
+    leaves_arena: bool,
+    shows_truth: bool,
+    shows_errors: bool,
 ) -> None:
     """Draw a legend below the axes that explains the markers in the figure.
 
-    `leaves` tells whether a path leaves the arena, `truth` whether true paths are drawn, `far`
-    whether the line of an error is drawn.
+    Args:
+        figure: The figure.
+        logs: The trials.
+        leaves_arena: Whether a path leaves the arena.
+        shows_truth: Whether true paths are drawn.
+        shows_errors: Whether the line of an error is drawn.
     """
-    alone = len(logs) == 1
+    is_single = len(logs) == 1
     setup = logs[0].start.setup
     signs: list[Artist] = [
         style.sign("start", marker="o", mfc="white", ms=5),
         style.sign("target", marker="s", mfc="none", ms=5),
         style.sign("end", marker="D", ms=4),
     ]
-    if far:
+    if shows_errors:
         signs.append(style.sign("error: end to target", **DOTTED))
     if setup.obstacles:
         signs.append(Patch(label="obstacle", **style.OBSTACLE))
-    times_s = _marked_times(logs[0]) if alone and len(setup.names) >= NUMBERED else []
+    times_s = _marked_times(logs[0]) if is_single and len(setup.names) >= NUMBERED else []
     if times_s:
         signs.append(style.sign(f"every {times_s[0]:g} s", marker=".", ms=4))
-    if leaves:
+    if leaves_arena:
         signs.append(style.sign("arena", **DASHED))
-    if truth:
+    if shows_truth:
         signs.append(style.sign("true path", color=style.INK, **DASHED))
     columns = len(signs)
     if len(signs) > SIGNS_IN_A_LINE:
@@ -456,10 +492,10 @@ def _name_signs(
     style.legend(figure, signs, columns, fontsize=6, columnspacing=1.2)
 
 
-def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
+def arena_picture(setup: Setup, positions: Floats) -> NDArray[np.uint8]:
     """Draw an image (H, W, 3) of a trial that is still running.
 
-    It shows the scene, and the robots' positions so far in `ways`, shape (M, N, 2).
+    It shows the scene, and the robots' positions so far in `positions`, shape (M, N, 2).
     """
     arena = setup.arena
     scale = PICTURE_SIDE_IN / arena.longer_side
@@ -468,10 +504,10 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     colors = robot_colors(setup.names, setup.colors)
-    draw_scene(axes, [setup], colors, [ways])
+    draw_scene(axes, [setup], colors, [positions])
     for robot, color in enumerate(colors):
-        axes.plot(*ways[:, robot].T, color=color, lw=1.3)
-        axes.plot(*ways[-1, robot], "o", color=color, ms=6)
+        axes.plot(*positions[:, robot].T, color=color, lw=1.3)
+        axes.plot(*positions[-1, robot], "o", color=color, ms=6)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]
 
@@ -479,13 +515,15 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
 # ---- Sizes ----
 
 
-def _nice_step(length: float, parts_max: int) -> float:
-    """Return the smallest round number, 1, 2 or 5 times 10^n, that divides a length into few parts.
+def _round_step(extent: float, parts_max: int) -> float:
+    """Compute the smallest step of 1, 2 or 5 times 10^n with which an extent has few parts.
 
-    There are at most `parts_max` parts.
+    Args:
+        extent: The extent to divide.
+        parts_max: Maximum number of parts.
     """
-    power = 10.0 ** np.floor(np.log10(length / parts_max))
+    power = 10.0 ** np.floor(np.log10(extent / parts_max))
     for multiple in (1, 2, 5):
-        if length / (multiple * power) <= parts_max:
+        if extent / (multiple * power) <= parts_max:
             return float(multiple * power)
     return float(10 * power)

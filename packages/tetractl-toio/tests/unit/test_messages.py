@@ -19,8 +19,8 @@ def test_the_examples_of_the_specification_are_read_and_written():
     assert messages.decode_motor(b"\x01" + DRIVE[1:7]) == (100, -20, 0)
     assert bytes.fromhex("18 00 01 00") == messages.NOTIFY_READINGS
     assert bytes.fromhex("19 00 01") == messages.NOTIFY_MISSED
-    assert not messages.refused(bytes.fromhex("98 00 00"))
-    assert messages.refused(bytes.fromhex("98 00 01"))
+    assert not messages.is_refusal(bytes.fromhex("98 00 00"))
+    assert messages.is_refusal(bytes.fromhex("98 00 01"))
     assert Characteristic.ID.uuid == "10b20101-5b3b-4571-9508-cf3efcd7bbae"
     assert Characteristic.CONFIGURATION.uuid == "10b201ff-5b3b-4571-9508-cf3efcd7bbae"
 

@@ -13,20 +13,20 @@ from testkit.trials import cut_short, three_robots
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds
 from tetractl.view.figures.trajectory import (
-    FAR,
+    FAR_OUTSIDE_MAX,
     LAST_TIME,
     MARGIN,
-    NAMED_MOST,
+    NAMED_MAX,
     TICK,
-    TIMES_MOST,
-    TRUTH_SEEN,
-    _heading,
+    TIMES_MAX,
+    TRUTH_DISTANCE_MIN,
+    _compose_heading,
+    _create_titled_figure,
     _mark_time,
     _marked_times,
     _mean_and_std,
-    _nice_step,
+    _round_step,
     _set_limits,
-    _titled_figure,
     _visible_truth,
 )
 from tetractl.view.figures.trials import final_poses
@@ -44,7 +44,7 @@ def log():
 
 @given(st.floats(1e-3, 1e6), st.integers(2, 12))
 def test_a_step_is_the_smallest_round_number_that_gives_few_parts(length, parts_max):
-    step = _nice_step(length, parts_max)
+    step = _round_step(length, parts_max)
     assert length / step <= parts_max * (1 + 1e-9)
     power = 10.0 ** math.floor(math.log10(step) + 1e-9)
     digit = step / power
@@ -74,8 +74,11 @@ def test_a_mean_has_three_digits_and_the_deviation_of_a_sample(errors, text):
         ([[100, 200], [600, 500]], (100, 600, 200, 500)),
         ([[90, 300], [np.nan, -900]], (90 - MARGIN * SIDE, 600, 200, 500)),
         ([[300, 510]], (100, 600, 200, 510 + MARGIN * SIDE)),
-        ([[1e6, 150]], (100, 600 + FAR * SIDE, 150 - MARGIN * SIDE, 500)),
-        ([[300, -1e6], [300, 1e6]], (100, 600, 200 - FAR * SIDE, 500 + FAR * SIDE)),
+        ([[1e6, 150]], (100, 600 + FAR_OUTSIDE_MAX * SIDE, 150 - MARGIN * SIDE, 500)),
+        (
+            [[300, -1e6], [300, 1e6]],
+            (100, 600, 200 - FAR_OUTSIDE_MAX * SIDE, 500 + FAR_OUTSIDE_MAX * SIDE),
+        ),
     ],
 )
 def test_the_limits_contain_the_arena_and_all_paths_but_no_outlier(path, limits):
@@ -89,7 +92,7 @@ def test_the_limits_contain_the_arena_and_all_paths_but_no_outlier(path, limits)
 def test_few_round_times_are_marked_before_the_end(log):
     times_s = _marked_times(log)
     end_s = log.elapsed_s(int(log.mocap_ns[-1]))
-    assert 2 <= len(times_s) <= TIMES_MOST
+    assert 2 <= len(times_s) <= TIMES_MAX
     assert np.diff(times_s) == pytest.approx(times_s[0])
     assert times_s[-1] < LAST_TIME * end_s <= times_s[-1] + times_s[0]
 
@@ -130,7 +133,7 @@ def test_no_tick_is_drawn_where_a_robot_was_not_seen(log):
 @pytest.mark.parametrize(("share", "is_shown"), [(0.9, False), (1.1, True)])
 def test_a_true_path_is_shown_if_one_pose_is_visibly_elsewhere(log, share, is_shown):
     truth = log.mocap.copy()
-    truth[7, 2, 1] -= share * TRUTH_SEEN * log.start.setup.arena.longer_side
+    truth[7, 2, 1] -= share * TRUTH_DISTANCE_MIN * log.start.setup.arena.longer_side
     shown = _visible_truth(replace(log, truth=truth))
     assert (shown is not None) == is_shown
     if is_shown:
@@ -143,7 +146,7 @@ def test_the_means_of_a_title_leave_out_trials_that_were_not_completed(log):
     off = far + [[300.0, 0.0]] * 3
     error = log.start.setup.distances(far)
     cut = replace(cut_short(log, 5), log=log.log)
-    title, entries = _heading([log, cut], np.array([far, off]))
+    title, entries = _compose_heading([log, cut], np.array([far, off]))
     assert title.startswith("2 trials")
     assert title.endswith(f"total {_mean_and_std(error.sum(keepdims=True))}")
     pairs = zip(log.start.setup.names, error, strict=True)
@@ -153,14 +156,14 @@ def test_the_means_of_a_title_leave_out_trials_that_were_not_completed(log):
 def test_trials_of_several_folders_have_no_mean(log):
     logs = [replace(log, log=f"{folder}/0.mcap") for folder in "ab"]
     ends = np.array([final_poses(log)[:, :2]] * 2)
-    title, entries = _heading(logs, ends)
+    title, entries = _compose_heading(logs, ends)
     assert title == "2 trials of 2 folders"
     assert entries == list(log.start.setup.names)
 
 
 def test_the_axes_keep_the_shape_of_the_arena_within_limits_and_entries_find_room():
     def height(arena, entries=()):
-        return _titled_figure(arena, "title", list(entries), ["red"] * 40).get_figheight()
+        return _create_titled_figure(arena, "title", list(entries), ["red"] * 40).get_figheight()
 
     square = height(Bounds(0, 0, 100, 100))
     tall = height(Bounds(0, 0, 100, 150))
@@ -169,5 +172,5 @@ def test_the_axes_keep_the_shape_of_the_arena_within_limits_and_entries_find_roo
     assert height(Bounds(0, 0, 900, 1)) == height(Bounds(0, 0, 1800, 1))
     arena = Bounds(0, 0, 100, 100)
     few = height(arena, ["green: 1.0"] * 3)
-    many = height(arena, ["green: 1.0"] * NAMED_MOST)
-    assert few < many < height(arena, ["a name of some length: 1.0"] * NAMED_MOST)
+    many = height(arena, ["green: 1.0"] * NAMED_MAX)
+    assert few < many < height(arena, ["a name of some length: 1.0"] * NAMED_MAX)

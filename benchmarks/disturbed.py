@@ -68,7 +68,9 @@ PARTS = {
         "dead time assumed 50 ms less": _bench_trial("controller.dead_time=0.01"),
         "dead time assumed 50 ms more": _bench_trial("controller.dead_time=0.11"),
         "a up to 30 % off": _bench_trial("plant.a_error=0.3"),
-        "two a 5 % apart, heading walk 0.05": _bench_trial("robots.2.a=4.2", "plant.heading_noise=0.05"),
+        "two a 5 % apart, heading walk 0.05": _bench_trial(
+            "robots.2.a=4.2", "plant.heading_noise=0.05"
+        ),
     },
     "hurting": {
         "none of these": "base",

@@ -318,7 +318,7 @@ def _describe_similar(similar: Setup, error_min: str) -> str:
 
 
 def _join_names(names: Sequence[str]) -> str:
-    """Join names as "a, b and c". Names after the first few are counted, for example as "2 more"."""
+    """Join names as "a, b and c". Names after the first few are counted, such as "2 more"."""
     shown_names = list(names)
     if len(names) > NAMED_MAX + 1:
         shown_names = [*names[:NAMED_MAX], f"{len(names) - NAMED_MAX} more"]

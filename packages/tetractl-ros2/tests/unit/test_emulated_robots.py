@@ -73,11 +73,11 @@ def test_a_direction_steers_a_robot_by_equation_three_and_its_height_stops_it():
         for aside in (0.0, 0.7, -2.0):
             direction = heading + aside
             vector = Vector3(math.cos(direction), math.sin(direction), 0.0)
-            speed, turning = side._steered(vector, 1)
+            speed, turning = side._steer(vector, 1)
             assert speed == pytest.approx(setup.speed[1] * setup.metres * 1000)
             assert turning == pytest.approx(setup.a[1] * math.sin(aside), abs=1e-9)
-        assert side._steered(Vector3(1.0, 0.0, 1.0), 1)[0] == 0.0
-        assert side._steered(Vector3(0.0, 0.0, 0.0), 1) == (0.0, 0.0)
+        assert side._steer(Vector3(1.0, 0.0, 1.0), 1)[0] == 0.0
+        assert side._steer(Vector3(0.0, 0.0, 0.0), 1) == (0.0, 0.0)
 
 
 @pytest.mark.slow

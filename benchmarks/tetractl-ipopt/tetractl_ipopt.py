@@ -133,7 +133,10 @@ class _Solutions(Progress):
             self.ended = StopReason.TARGET
 
     def solve(self, guess: Floats, iterations: int, warm: bool) -> Floats | None:
-        """Solve from a guess, and return the directions found. None if the search is over."""
+        """Solve from a guess, and return the directions found.
+
+        The result is None if the search is over.
+        """
         if self.ended is None:
             self.ended = self.limit_before(1)
         if self.ended is not None or self.iterations_left <= 0:

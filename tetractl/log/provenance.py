@@ -218,7 +218,10 @@ def git_state() -> Mapping[str, str]:
 
 
 def _git(*arguments: str) -> str | None:
-    """Run git in tetractl's own folder, and return its output. None if it fails."""
+    """Run git in tetractl's own folder, and return its output.
+
+    The result is None if git fails.
+    """
     try:
         done = run_tool(["git", "-C", str(HERE), *arguments], patience_s=5.0)
     except OSError:

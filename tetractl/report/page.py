@@ -392,7 +392,10 @@ def without_details(log: TrialLog) -> TrialLog:
 
 
 def figures_of_trial(log: TrialLog) -> str:
-    """Return the HTML of a trial's figures. Empty if its log has no control step or no frame."""
+    """Return the HTML of a trial's figures.
+
+    The result is empty if the log has no control step or no frame.
+    """
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.log).name

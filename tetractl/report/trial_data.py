@@ -150,7 +150,10 @@ def _steps(log: TrialLog) -> dict[str, Any]:
 
 
 def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
-    """Return the final poses and errors, from the trial's result. None if the log ends early."""
+    """Return the final poses and errors, from the trial's result.
+
+    The result is None if the log ends early.
+    """
     result = log.result
     if result is None:
         return None
@@ -191,7 +194,10 @@ def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
 
 
 def _dish(log: TrialLog) -> dict[str, Any] | None:
-    """Return a microscope's images as JPEG, with times and corners. None if the log has none."""
+    """Return a microscope's images as JPEG, with times and corners.
+
+    The result is None if the log has no images.
+    """
     pictures = DishPictures(log, PICTURES_MAX)
     if not pictures.times_ns:
         return None

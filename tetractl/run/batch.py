@@ -137,7 +137,9 @@ class TrialTimes:
         return all(self._timed[arm] for arm in self._left)
 
     def left_s(self, workers: int) -> float | None:
-        """Estimate how long the remaining trials take [s]. None before any trial was timed.
+        """Estimate how long the remaining trials take [s].
+
+        The result is None before any trial was timed.
 
         Each trial is expected to take the mean time of its arm. If no trial of the arm has been
         timed, the mean time of all trials is used.

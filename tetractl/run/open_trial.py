@@ -207,7 +207,10 @@ class OpenTrial:
 
     @property
     def last_direction(self) -> float | None:
-        """The direction sent last [rad]. None before the first direction."""
+        """The direction sent last [rad].
+
+        The value is None before the first direction.
+        """
         return self._directions[-1] if self._directions else None
 
     @property

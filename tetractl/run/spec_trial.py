@@ -93,7 +93,10 @@ def own_supervision(interrupt: Interrupt) -> LabSupervision:
 
 
 def _model_monitor(experiment: Experiment) -> EstimateMonitor | None:
-    """Return the monitor of the controller's estimates. None if it makes no estimates."""
+    """Return the monitor of the controller's estimates.
+
+    The result is None if the controller makes no estimates.
+    """
     function = experiment.controller.model_monitor
     return resolve_name(function)(experiment) if function else None
 

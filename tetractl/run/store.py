@@ -216,7 +216,10 @@ class RecordStore:
             yield
 
     def _read(self, path: Path) -> dict[str, Any] | None:
-        """Return the record in a file. None if it cannot be read."""
+        """Return the record in a file.
+
+        The result is None if the file cannot be read.
+        """
         try:
             stated = json.loads(path.read_bytes())
             identity = stated["of"]

@@ -78,7 +78,10 @@ def batch_items(group: BatchStatistics) -> dict[str, Any]:
 
 
 def _reference(group: BatchStatistics) -> dict[str, Any] | None:
-    """Return the published result and the difference from it. None if nothing was published."""
+    """Return the published result and the difference from it.
+
+    The result is None if nothing was published.
+    """
     published = group.experiment.reference
     if published is None or group.from_published is None:
         return None

@@ -247,7 +247,7 @@ TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
 def _way_point_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return the sum of the robots' distances to each way-point when it was passed.
 
-    None for a way-point that was not passed.
+    The result is None for a way-point that was not passed.
     """
     way_points = len(trial.experiment.setup.legs) - 1
     passed_distances = trial.result.passed[:way_points]
@@ -258,7 +258,7 @@ def _way_point_columns(trial: ResultSummary) -> dict[str, Any]:
 def _time_inside_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return the fraction of the hold's time that each robot was near its target.
 
-    Near means within `hold.radius`. None if the hold was not completed.
+    Near means within `hold.radius`. The result is None if the hold was not completed.
     """
     if trial.experiment.hold is None:
         return {}
@@ -273,7 +273,7 @@ def _time_inside_columns(trial: ResultSummary) -> dict[str, Any]:
 def _lost_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return {"lost": number of lost robots}.
 
-    Empty if the spec lets a lost robot stop the trial.
+    The result is empty if the spec lets a lost robot stop the trial.
     """
     return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
 
@@ -325,7 +325,7 @@ def discs(log: TrialLog) -> Floats:
 
     The robot is inside the disc around its target for 95 % of the hold, without the first
     SETTLING_S. The diameter is twice the 0.95-quantile of its distances to the target [length
-    unit]. True poses are used if they are known. NaN if no frame counts.
+    unit]. True poses are used if they are known. The result is NaN if no frame counts.
     """
     setup = log.start.setup
     held_ns = [s.observation.sampled_ns for s in log.steps if s.plan.leg == len(setup.legs)]

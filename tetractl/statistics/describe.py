@@ -125,7 +125,8 @@ def _from_published(
     """Compare the mean with the published mean of real robots by Welch's t test.
 
     Only trials of a real lab are compared. The difference of a simulation or an emulated lab is
-    unknown, because it would say nothing about real robots. None if nothing was published.
+    unknown, because it would say nothing about real robots. The result is None if nothing was
+    published.
     """
     published = experiment.reference
     if published is None:
@@ -190,7 +191,7 @@ class Contrast(Shown):
     def reason(self) -> str | None:
         """Why there is no verdict on the two batches.
 
-        None if there is one. The first reason is given.
+        The value is None if there is one. The first reason is given.
         """
         if not self.same_origin:
             return "the plants differ"
@@ -208,7 +209,7 @@ class Contrast(Shown):
     def verdict(self) -> str | None:
         """Whether the first batch's error is lower or higher.
 
-        None if there is a `reason` for no verdict.
+        The value is None if there is a `reason` for no verdict.
 
         "lower" or "higher" requires that every interval of the difference is below or above 0, and
         that the corrected p is below 0.05. Otherwise, the verdict is "undecided".

@@ -63,7 +63,10 @@ class Interval:
 
     @property
     def bounds(self) -> list[float] | None:
-        """Both ends for JSON, [low, high]. None if there is no interval."""
+        """Both ends for JSON, [low, high].
+
+        The value is None if there is no interval.
+        """
         return [self.low, self.high] if self.known else None
 
     def as_dict(self) -> dict[str, Any]:

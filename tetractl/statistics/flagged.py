@@ -109,7 +109,7 @@ def flagged(batch: Batch) -> list[Flagged]:
 def trial_notes(trial: ResultSummary) -> list[str]:
     """Return the reasons to flag a trial that follow from this trial alone.
 
-    Empty if there are none.
+    The result is empty if there are none.
     """
     result = trial.result
     notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]

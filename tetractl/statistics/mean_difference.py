@@ -215,7 +215,7 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
     """Compute the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of two samples.
 
     The samples have shapes (m,) and (n,). The p-value is exact for up to EXACT values without ties.
-    NaN if one side has no values.
+    The result is NaN if one side has no values.
     """
     from scipy import stats
 

@@ -216,7 +216,10 @@ def _base(study: Study, document: Document, folder: Path) -> Document:
 
 
 def _named(study: Study) -> str | None:
-    """Return the file's name for problems with the whole base. None if the base is in the study."""
+    """Return the file's name for problems with the whole base.
+
+    The result is None if the base is in the study.
+    """
     return None if isinstance(study.base, dict) else printable(Path(study.base).name)
 
 

@@ -77,7 +77,9 @@ SAME_BITS = Tolerance()
 def first_difference(
     ours: Any, logged: Any, tolerance: Tolerance = SAME_BITS, name: str = ""
 ) -> Difference | None:
-    """Return the first difference between two records. None if they agree.
+    """Return the first difference between two records.
+
+    The result is None if they agree.
 
     A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value.
 
@@ -125,7 +127,8 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
 def _parts(record: Any) -> Mapping[Any, Any] | None:
     """Return the parts of a record that count in a comparison, keyed by name or index.
 
-    Fields of a message that are not set are left out. None for a single value or an array.
+    Fields of a message that are not set are left out. The result is None for a single value or an
+    array.
     """
     if is_dataclass(record):
         compared = [field.name for field in fields(record) if field.compare]

@@ -40,7 +40,9 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
 
 
 def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | None:
-    """Return the first difference between the messages of a topic. None if all are equal.
+    """Return the first difference between the messages of a topic.
+
+    The result is None if all are equal.
 
     A message that only one of the logs contains is a difference.
     """

@@ -127,7 +127,7 @@ def _step_difference(
 ) -> Difference | None:
     """Repeat the decision of a step, and return the first difference from the logged decision.
 
-    The step follows `last`. None if there is no difference.
+    The step follows `last`. The result is None if there is no difference.
     """
     searches.begin(step.plan.searches)
     try:

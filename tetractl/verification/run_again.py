@@ -46,7 +46,9 @@ class Recorder(RecordSink):
 
 
 def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
-    """Explain why the trial of an undamaged log does not repeat here. Empty if it does.
+    """Explain why the trial of an undamaged log does not repeat here.
+
+    The result is empty if it does.
 
     `elsewhere` contains the differences between the log's computer and this one.
     """

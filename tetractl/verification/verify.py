@@ -275,7 +275,8 @@ def _may_lose_frames(log: TrialLog) -> bool:
 def host_differences(log: TrialLog) -> tuple[str, ...]:
     """List the differences between the log's computer and this one that may change results.
 
-    They concern the processor, versions and the packages of the spec. Empty if nothing differs.
+    They concern the processor, versions and the packages of the spec. The result is empty if
+    nothing differs.
     """
     used = provenance.plugins(packages(log.experiment))
     these_facts = {**provenance.host(), **provenance.versions(), **used}

@@ -158,7 +158,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw the episode so far as an RGB image, shape (height, width, 3).
 
-        None without a render mode.
+        The result is None without a render mode.
         """
         if self.render_mode is None:
             return None

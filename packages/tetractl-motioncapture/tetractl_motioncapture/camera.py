@@ -76,7 +76,10 @@ class MotionCapture(PortCamera):
         return Health(tuple(lines), emulated=self.emulated)
 
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
-        """Return the pose of each robot in a frame. None for a robot whose body is missing."""
+        """Return the pose of each robot in a frame.
+
+        The pose is None for a robot whose body is missing.
+        """
         line = json.loads(message)
         self._bodies = list(line["bodies"])
         self.emulated = "emulated" in line

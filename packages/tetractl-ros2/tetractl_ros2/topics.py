@@ -66,7 +66,9 @@ def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -
 def battery_topics(
     section: Ros2Section, setup: Setup, publishes: bool = False
 ) -> list[Topic | None]:
-    """Return the topics of the robots' batteries, in the setup's order. None if it has none.
+    """Return the topics of the robots' batteries, in the setup's order.
+
+    An entry is None if the robot publishes no battery state.
 
     Args:
         section: The fields of the actuator in the spec.
@@ -78,7 +80,10 @@ def battery_topics(
 
 
 def emergency_topic(section: Ros2Section, publishes: bool = True) -> Topic | None:
-    """Return the topic of the emergency stop. None if the section names none."""
+    """Return the topic of the emergency stop.
+
+    The result is None if the section names no such topic.
+    """
     if section.emergency_stop is None:
         return None
     return Topic(section.emergency_stop, Bool, publishes, latched=True)

@@ -45,7 +45,10 @@ class Cubes:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the first unreachable cube is lost. None if all cubes can be reached."""
+        """The reason why the first unreachable cube is lost.
+
+        The value is None if all cubes can be reached.
+        """
         return next((link.failure for link in self._links.values() if link.failure), None)
 
     def open(self, listeners: Mapping[str, Listener]) -> None:

@@ -327,7 +327,9 @@ def _floats(values: Sequence[float]) -> Floats:
 
 
 def _floats_or_none(values: Sequence[float]) -> Floats | None:
-    """Return optional numbers as an array. None if there are none.
+    """Return optional numbers as an array.
+
+    The result is None if there are no numbers.
 
     A message cannot distinguish an empty array from a missing one.
     """

@@ -69,7 +69,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
 def _hint_without_logs(path: Path) -> str | None:
     """Suggest what the user may have meant by a path to a file that is not a log.
 
-    None if there is no suggestion.
+    The result is None if there is no suggestion.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return f"run it with: tetractl run {path}"

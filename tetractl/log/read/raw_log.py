@@ -73,7 +73,10 @@ class RawLog:
         return by_name
 
     def text(self, name: str) -> str | None:
-        """Return the attachment with this name as text. None if it is lost."""
+        """Return the attachment with this name as text.
+
+        The result is None if the attachment is lost.
+        """
         attachment = self.attachments.get(name)
         return None if attachment is None else attachment.data.decode(errors="replace")
 
@@ -131,7 +134,10 @@ class RawLog:
 
     @property
     def result(self) -> Result | None:
-        """The result stored in the log. None if it is missing or cannot be read."""
+        """The result stored in the log.
+
+        The value is None if the result is missing or cannot be read.
+        """
         return self.result_or_why_not if isinstance(self.result_or_why_not, Result) else None
 
     @property
@@ -216,7 +222,9 @@ class RawLog:
 
     @property
     def rewritten_by(self) -> str:
-        """The program that rewrote a log of tetractl, such as MCAP's own. Empty if none did.
+        """The program that rewrote a log of tetractl, such as MCAP's own.
+
+        The value is empty if no program rewrote the log.
 
         Some programs copy tetractl's name together with the header. These are recognised because
         their attachments are in another place.
@@ -239,7 +247,7 @@ class RawLog:
     def recovered(self) -> Damage | None:
         """The damage of the log from which this one was recovered.
 
-        None if it was not recovered, or lost nothing.
+        The value is None if this log was not recovered, or if the original had lost nothing.
         """
         if not self.by_topic[channels.RECOVERED]:
             return None
@@ -256,7 +264,7 @@ class RawLog:
     def facts(self) -> dict[str, str]:
         """Facts about the computer, the time and the code of the run.
 
-        Empty if they are lost.
+        The value is empty if the facts are lost.
         """
         return decode_facts(self._stated(channels.HOST).facts)
 

@@ -130,7 +130,7 @@ def _damage(contents: RawLog, trial: TrialLog) -> Damage:
 def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
     """Describe what a log without a result has lost: everything after its last record.
 
-    `last_ns` is the time of that record. None if there is none.
+    `last_ns` is the time of that record, or None if the log has no record with a time.
     """
     return f"all {what}" if last_ns is None else f"{what} after {trial.elapsed_s(last_ns):.3f} s"
 

@@ -96,7 +96,9 @@ def _examine(contents: RawLog) -> Damage:
 
 
 def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
-    """Describe what a log has lost, one sentence each. Empty if nothing is lost.
+    """Describe what a log has lost, one sentence each.
+
+    The result is empty if nothing is lost.
 
     Nothing is lost if its records match both digests that it states, unless its source had lost
     something.

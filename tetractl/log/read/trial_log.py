@@ -141,7 +141,10 @@ class TrialLog(TrialRecords, Shown):
 
     @property
     def last_estimate(self) -> Estimate | None:
-        """The controller's estimate of the motion in the last step. None if there is none."""
+        """The controller's estimate of the motion in the last step.
+
+        The value is None if the controller made no estimate.
+        """
         return self.steps[-1].plan.estimate if self.steps else None
 
     @property

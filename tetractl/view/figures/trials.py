@@ -90,7 +90,7 @@ def need_frames(log: TrialLog) -> None:
 def unfinished(log: TrialLog) -> str:
     """Describe how and why an incomplete trial ended, or that its log breaks off.
 
-    Empty if complete.
+    The result is empty if complete.
     """
     if log.result is None:
         return "the log breaks off before the end of the trial"

@@ -229,7 +229,7 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 def _ticks(low: float, high: float, step: float) -> Floats:
     """Return equally spaced coordinates from low to high, both included, at most `step` apart.
 
-    Empty if high < low.
+    The result is empty if high < low.
     """
     if high < low:
         return np.empty(0)

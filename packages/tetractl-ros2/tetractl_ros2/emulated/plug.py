@@ -72,7 +72,7 @@ class TopicPlug(PseudoPort):
     def read(self) -> bytes:
         """Return the bytes of the oldest waiting message.
 
-        Empty if there is none. It never waits.
+        The result is empty if there is none. It never waits.
         """
         with suppress(BlockingIOError, OSError):
             os.eventfd_read(self.fd)

@@ -96,7 +96,10 @@ class CubeProgram:
         return Status.RUNNING if running else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the packed answers since the last call. Empty if there are none."""
+        """Return the packed answers since the last call.
+
+        The result is empty if there are no answers.
+        """
         answers = self._answers
         self._answers = b""
         return answers

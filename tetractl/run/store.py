@@ -85,7 +85,11 @@ class BatchFolder:
             self.results[trial] = result
 
     def _check(self, result: ResultSummary) -> None:
-        """Raise UsageError if a result is from another spec or seed than this folder's."""
+        """Check that a result comes from the spec and the seed of this folder.
+
+        Raises:
+            UsageError: If it comes from another spec or seed.
+        """
         experiment = result.experiment
         if self.experiment.open:  # each trial chose its own robots
             spec_robots = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
@@ -146,7 +150,11 @@ class Store:
             batch.read()
 
     def _check(self, resume: bool) -> None:
-        """Raise UsageError if the folder is a file, or has logs that are not to be resumed."""
+        """Check that the folder can be used for this run.
+
+        Raises:
+            UsageError: If the folder is a file, or if it has logs that are not to be resumed.
+        """
         if not self.folder.exists():
             return
         if not self.folder.is_dir():

@@ -46,11 +46,14 @@ class Recorder(RecordSink):
 
 
 def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
-    """Explain why the trial of an undamaged log does not repeat here.
+    """Explain why the trial of an undamaged log cannot be repeated exactly on this computer.
 
-    The result is empty if it does.
+    Args:
+        log: The log.
+        elsewhere: The differences between the log's computer and this one.
 
-    `elsewhere` contains the differences between the log's computer and this one.
+    Returns:
+        The reason. Empty if the trial can be repeated.
     """
     plant = log.experiment.plant
     result = log.result

@@ -21,10 +21,13 @@ from tetractl.log.format.run_records import decode_result
 
 
 def check_frames(frames: Frames) -> None:
-    """Raise ValueError for a camera frame that no trial can have.
+    """Check that camera frames contain only values that a trial can have.
 
     Poses of tracked robots must be finite, and other poses not infinite. True poses must be
     finite.
+
+    Raises:
+        ValueError: If a value is not possible.
     """
     require_finite("a pose", frames.poses[frames.valid])
     if np.isinf(frames.poses).any():
@@ -34,9 +37,12 @@ def check_frames(frames: Frames) -> None:
 
 
 def check_commands(commands: Sequence[Command], robots: int) -> None:
-    """Raise ValueError for a command that cannot be for N robots, or has non-finite numbers.
+    """Check that commands are for N robots and contain only finite numbers.
 
     All commands are checked together, which is faster than one by one.
+
+    Raises:
+        ValueError: If a command is for another number of robots, or has non-finite numbers.
     """
     check_actions([command.action for command in commands])
     for count in {len(command.delivered) for command in commands} - {robots}:
@@ -49,9 +55,12 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
 
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:
-    """Raise ValueError for a control step that no trial with N robots can have.
+    """Check that control steps contain only values that a trial with N robots can have.
 
     All steps are checked together, which is faster than one by one.
+
+    Raises:
+        ValueError: If a value is not possible.
     """
     check_frames(Frames.from_samples([Sample(step.observation, None) for step in steps], robots))
     check_commands([step.command for step in steps], robots)
@@ -82,9 +91,12 @@ def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit:
 
 
 def check_result(result: Result) -> None:
-    """Raise ValueError for a result that no trial can have.
+    """Check that a result contains only values that a trial can have.
 
     Final poses and errors may be NaN only if the trial is not complete.
+
+    Raises:
+        ValueError: If a value is not possible.
     """
     verdict = result.verdict
     lengths = np.array([result.total_error, *result.robot_errors, *verdict.final.xy.ravel()])

@@ -177,9 +177,10 @@ class Sink:
         self._check_exists()
 
     def _check_exists(self) -> None:
-        """Raise OSError if the file was moved or removed.
+        """Check that the file is still in its place.
 
-        A removed file is written again first.
+        Raises:
+            OSError: If the file was moved or removed. A removed file is written again first.
         """
         assert self._file is not None
         mine = os.fstat(self._file.fileno())

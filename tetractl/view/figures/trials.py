@@ -76,13 +76,21 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
 
 
 def need_steps(log: TrialLog) -> None:
-    """Raise LogError if a log has no control steps."""
+    """Check that a log has control steps.
+
+    Raises:
+        LogError: If it has none.
+    """
     if not log.steps:
         raise LogError(f"{log.log}: the log contains no control steps to plot")
 
 
 def need_frames(log: TrialLog) -> None:
-    """Raise LogError if a log has no camera frames."""
+    """Check that a log has camera frames.
+
+    Raises:
+        LogError: If it has none.
+    """
     if not len(log.mocap_ns):
         raise LogError(f"{log.log}: the log contains no camera frames to plot")
 

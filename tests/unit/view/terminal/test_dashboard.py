@@ -188,7 +188,7 @@ def of_distances(distances):
 def test_robots_for_which_there_is_no_line_are_described_together(distances, height):
     """By their number and the largest distance of these, not of those that are listed."""
     view = Dashboard(of_distances(np.array(distances)), "t", Footer("", 0.5, ""))
-    _, *lines = (line.plain for line in view._robots(60, height))
+    _, *lines = (line.plain for line in view._robots_block(60, height))
     listed = [line for line in lines if "robot " in line]
     for line, distance in zip(listed, distances, strict=False):
         assert f"{distance:.1f}" in line

@@ -27,7 +27,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from testkit.microscope.tag_scene import FLOOR, MM, NAMES, scattered
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
 from tetractl_microscope.apriltag.camera import Tracker
-from tetractl_microscope.apriltag.detect import MODULES, refined
+from tetractl_microscope.apriltag.detect import MODULES, refine_corners
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 
 from tetractl.core.poses import Grey, Poses
@@ -176,7 +176,7 @@ def corners(scale: float) -> None:
                 rough, tag_ids, _ = detector.detectMarkers(picture)
                 corners_px = np.array(rough, float).reshape(-1, 4, 2)
                 if name == "sides":
-                    corners_px, _ = refined(picture, corners_px, MODULES)
+                    corners_px, _ = refine_corners(picture, corners_px, MODULES)
                 for tag, tag_corners in zip(np.ravel(tag_ids), corners_px, strict=True):
                     if tag < len(ROBOTS):
                         card = scene.card(ROBOTS[tag], truth, tag)

@@ -16,33 +16,33 @@ from typing import Any
 from tetractl.core.setup import Setup
 from tetractl.spec.lab_section import LabSection
 
-# regular expressions of reasons
-SIGHT = (
+# regular expressions for the reasons with which the guard stops a run, by what has failed
+CAMERA_REASONS = (
     r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
     r"|watched long enough|before reception|no camera frame|cannot be found: the camera|frames came"
     r"|no message came|no camera server answers"
 )
-MOTION = (
+MOTION_REASONS = (
     r"moves? |turns? |does not move|drift together|off its commanded speed|radio slow"
     r"|camera or its origin|swapped|pose jumped|pose repeats|still moves|from its start|turned by"
 )
-PLACE = r"about to leave|about to enter|too close"
-CELLS = r"respond to the field|divided, or has parted|been uncertain which cell|are needed"
-CLOCK = r"server's clock|after reception|before reception"
-RADIO = r"radio|\bport\b|does not answer|no XBee module answers|battery"
-DRIVER = r"current driver|\bport\b"
-NOTHING = r"$."
-MOVED = f"{MOTION}|{PLACE}|{SIGHT}"
-LATE = f"{SIGHT}|{PLACE}|{CLOCK}|{MOTION}"
-LINK = f"{RADIO}|{MOVED}"
-SEEN = f"{MOVED}|{CELLS}|no image|damaged|image is|in view|was the stage"
+PLACE_REASONS = r"about to leave|about to enter|too close"
+CELL_REASONS = r"respond to the field|divided, or has parted|been uncertain which cell|are needed"
+CLOCK_REASONS = r"server's clock|after reception|before reception"
+RADIO_REASONS = r"radio|\bport\b|does not answer|no XBee module answers|battery"
+DRIVER_REASONS = r"current driver|\bport\b"
+NO_REASON = r"$."
+MOVED_REASONS = f"{MOTION_REASONS}|{PLACE_REASONS}|{CAMERA_REASONS}"
+LATE_REASONS = f"{CAMERA_REASONS}|{PLACE_REASONS}|{CLOCK_REASONS}|{MOTION_REASONS}"
+LINK_REASONS = f"{RADIO_REASONS}|{MOVED_REASONS}"
+SEEN_REASONS = f"{MOVED_REASONS}|{CELL_REASONS}|no image|damaged|image is|in view|was the stage"
 
 FRAME_S = 1 / 120
 """Time between two exposures of the emulated camera [s]."""
-STRONG = 0.9
-"""Strength of a fault from which on it lasts until the test run ends."""
-OUR_HZ = 40.0
-"""Rate at which m3pi robots are sent commands by a spec that names none."""
+ENDLESS_STRENGTH = 0.9
+"""Minimum strength of a fault that lasts until the test run ends."""
+DEFAULT_COMMAND_HZ = 40.0
+"""Rate of commands to m3pi robots if the spec states no rate [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,28 +65,28 @@ class Draw:
 DrawValue = Callable[[Draw], Any]
 
 
-def between(low: float, high: float) -> DrawValue:
+def value_between(low: float, high: float) -> DrawValue:
     """Create a function that samples a value from `low` to `high`, to four significant digits.
 
     The value changes exponentially with the fault's strength, from `low` at 0 to `high` at 1.
     `low` can be the larger one.
     """
-    return lambda d: float(f"{low * (high / low) ** d.strength:.4g}")
+    return lambda draw: float(f"{low * (high / low) ** draw.strength:.4g}")
 
 
 def whole_number(low: float, high: float) -> DrawValue:
-    """Create a function that samples like `between`, rounded to the nearest whole number."""
-    value = between(low, high)
-    return lambda d: round(value(d))
+    """Create a function that samples like `value_between`, rounded to the nearest whole number."""
+    sample_value = value_between(low, high)
+    return lambda draw: round(sample_value(draw))
 
 
-def part(low: float, high: float) -> DrawValue:
-    """Create a function that samples a fraction like `between`, but at most 1."""
-    value = between(low, high)
-    return lambda d: min(1.0, value(d))
+def fraction_between(low: float, high: float) -> DrawValue:
+    """Create a function that samples a fraction like `value_between`, but at most 1."""
+    sample_value = value_between(low, high)
+    return lambda draw: min(1.0, sample_value(draw))
 
 
-def less(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
+def one_minus(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
     """Create a function that samples 1 minus a random loss.
 
     Args:
@@ -94,23 +94,23 @@ def less(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
         high: Maximum loss.
         remaining_min: Minimum of the result.
     """
-    lacking = between(low, high)
-    return lambda d: max(remaining_min, round(1 - lacking(d), 4))
+    sample_loss = value_between(low, high)
+    return lambda draw: max(remaining_min, round(1 - sample_loss(draw), 4))
 
 
-def signed(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Create a function that samples like `between`, with a random sign.
+def signed_value(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+    """Create a function that samples like `value_between`, with a random sign.
 
     Args:
         low: Minimum absolute value.
         high: Maximum absolute value.
         a_frame: Factor for the result, for example to convert a speed to a change per frame.
     """
-    size = between(low, high)
-    return lambda d: round(d.random.choice((-1, 1)) * size(d) * a_frame, 7)
+    sample_size = value_between(low, high)
+    return lambda draw: round(draw.random.choice((-1, 1)) * sample_size(draw) * a_frame, 7)
 
 
-def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+def factor_near_one(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
     """Create a function that samples a factor near 1.
 
     Args:
@@ -118,20 +118,20 @@ def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
         high: Maximum difference from 1.
         a_frame: Factor for the difference, for example to convert it to a change per frame.
     """
-    change = signed(low, high, a_frame)
-    return lambda d: 1 + change(d)
+    sample_change = signed_value(low, high, a_frame)
+    return lambda draw: 1 + sample_change(draw)
 
 
-def vector(low: float, high: float) -> DrawValue:
+def random_vector(low: float, high: float) -> DrawValue:
     """Create a function that samples a vector [x, y] in a random direction.
 
-    Its length is sampled like `between`.
+    Its length is sampled like `value_between`.
     """
-    length = between(low, high)
-    return lambda d: _vector(length(d), d.random.uniform(-math.pi, math.pi))
+    sample_length = value_between(low, high)
+    return lambda draw: _to_vector(sample_length(draw), draw.random.uniform(-math.pi, math.pi))
 
 
-def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+def scaled_vector(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
     """Create a function that samples a vector in a random direction, scaled to the robots' speed.
 
     Args:
@@ -139,11 +139,11 @@ def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
         high: Maximum length, for a robot with 200 mm/s.
         a_frame: Factor for the result, for example to convert a speed to a change per frame.
     """
-    draw = vector(low, high)
-    return lambda d: [round(value * d.scale * a_frame, 6) for value in draw(d)]
+    sample_vector = random_vector(low, high)
+    return lambda draw: [round(value * draw.scale * a_frame, 6) for value in sample_vector(draw)]
 
 
-def along(low: float, high: float, angle: float) -> DrawValue:
+def along_line(low: float, high: float, angle: float) -> DrawValue:
     """Create a function that samples a displacement per frame, forwards or backwards along a line.
 
     Args:
@@ -151,43 +151,47 @@ def along(low: float, high: float, angle: float) -> DrawValue:
         high: Maximum speed, for a robot with 200 mm/s.
         angle: Direction of the line [rad].
     """
-    speed = signed(low, high)
-    return lambda d: _vector(speed(d) * d.scale * FRAME_S, angle)
+    sample_speed = signed_value(low, high)
+    return lambda draw: _to_vector(sample_speed(draw) * draw.scale * FRAME_S, angle)
 
 
 def one_of(*values: Any) -> DrawValue:
     """Create a function that samples one of the values with equal probability."""
-    return lambda d: d.random.choice(values)
+    return lambda draw: draw.random.choice(values)
 
 
-def pair(draw: DrawValue) -> DrawValue:
-    """Create a function that samples twice with `draw`, and returns a list of two whole numbers."""
-    return lambda d: [round(draw(d)), round(draw(d))]
+def pair(sample_value: DrawValue) -> DrawValue:
+    """Create a function that samples two whole numbers, and returns them as a list.
+
+    Args:
+        sample_value: Samples each of the numbers, which are then rounded.
+    """
+    return lambda draw: [round(sample_value(draw)), round(sample_value(draw))]
 
 
-def lost(d: Draw) -> float:
+def lost_fraction(draw: Draw) -> float:
     """Sample a fraction of lost messages, from 5 to 98 %, or 1 for a strong fault.
 
     Fractions near 98 % are as frequent as fractions near 5 %.
     """
-    share = 1.0 / (1.0 + math.exp(3.0 - 7.0 * d.strength / STRONG))
-    return round(share, 4) if d.strength < STRONG else 1.0
+    fraction = 1.0 / (1.0 + math.exp(3.0 - 7.0 * draw.strength / ENDLESS_STRENGTH))
+    return round(fraction, 4) if draw.strength < ENDLESS_STRENGTH else 1.0
 
 
-def first_robot(d: Draw) -> str:
+def first_robot(draw: Draw) -> str:
     """Return the name of the robot that has the fault: the first of the names in random order."""
-    return d.names[0]
+    return draw.names[0]
 
 
-NAMES = {"robot": first_robot, "cell": first_robot, "other": lambda d: d.names[1]}
+NAME_FUNCTIONS = {"robot": first_robot, "cell": first_robot, "other": lambda d: d.names[1]}
 """Functions that sample the fields that name robots.
 
 A kind whose field of this name is required gets the function in each of its variants.
 """
-WHEEL = one_of("left", "right", "both")
+WHEEL_SIDES = one_of("left", "right", "both")
 
 
-def _vector(length: float, angle: float) -> list[float]:
+def _to_vector(length: float, angle: float) -> list[float]:
     """Return [x, y] of a vector with a length and an angle [rad], rounded to 6 decimals."""
     x = length * math.cos(angle)
     y = length * math.sin(angle)

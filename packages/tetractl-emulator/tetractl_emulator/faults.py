@@ -19,7 +19,7 @@ from pydantic import Field, create_model
 
 from tetractl.core.clock import SECOND
 from tetractl.spec.base import Model, Name, NonNegative, Positive
-from tetractl_emulator.fault_rows import NAMES, FaultRow
+from tetractl_emulator.fault_rows import NAME_FUNCTIONS, FaultRow
 from tetractl_emulator.loop import Timeline
 
 Undo = Callable[[], None]
@@ -183,8 +183,8 @@ def fault_kind(
     named: dict[str, Any] = {}
     for key, field_type in fields.items():
         columns[key] = field_type if isinstance(field_type, tuple) else (field_type, ...)
-        if key in NAMES and not isinstance(field_type, tuple):
-            named[key] = NAMES[key]
+        if key in NAME_FUNCTIONS and not isinstance(field_type, tuple):
+            named[key] = NAME_FUNCTIONS[key]
     undocumented = {"use_attribute_docstrings": False}  # else pydantic looks for the class's source
     kind = create_model(name, __base__=Fault, __doc__=about, __cls_kwargs__=undocumented, **columns)
     kind.visible = visible

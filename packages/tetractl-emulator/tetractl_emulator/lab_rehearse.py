@@ -21,9 +21,9 @@ from tetractl.tools.files import save_whole
 from tetractl.tools.table.table import pluralize
 from tetractl.tools.terminal import is_terminal
 
-SPECS = "the spec itself causes this abort: correct the spec first, then rehearse it"
+SPEC_HINT = "the spec itself causes this abort: correct the spec first, then rehearse it"
 
-DRAWN = 6
+SAMPLING_VERSION = 6
 """Version of how days are sampled.
 
 Days in a folder that were sampled in another version are not continued.
@@ -106,45 +106,52 @@ def rehearse(
     loaded.experiment.plant.require_devices()
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     short_sets = (*(sets or ()), "controller.time_limit=1")
-    short = on_plant(load_spec(spec, short_sets), "emulated")
+    short_spec = on_plant(load_spec(spec, short_sets), "emulated")
     # what it loads, no day has to load; no cells may have been found
     may_fail = suppress(AbortError) if loaded.experiment.open else nullcontext()
     with tempfile.TemporaryDirectory() as scratch, may_fail:
-        tried = run_logged(short, Path(scratch))
-        if tried.outcome is Outcome.ABORTED:
-            raise AbortError(f"a trial without any faults was aborted: {tried.reason}", SPECS)
+        faultless = run_logged(short_spec, Path(scratch))
+        if faultless.outcome is Outcome.ABORTED:
+            raise AbortError(
+                f"a trial without any faults was aborted: {faultless.reason}", SPEC_HINT
+            )
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
-    store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {DRAWN}", FIELDS)
+    store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {SAMPLING_VERSION}", FIELDS)
     rows = store.records
-    wanted = range(first, first + days)
-    play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults, folder=folder)
+    day_indices = range(first, first + days)
+    run_one_day = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults, folder=folder)
     began_s = time.monotonic()
     interrupted = False
     try:
         with store.opened(), interrupted_once(), ui.progress("days") as show:
-            waiting = [day for day in wanted if day not in rows]
-            for done, row in enumerate(called(play, waiting, jobs, ui.tell), start=1):
+            waiting = [day for day in day_indices if day not in rows]
+            for done_count, row in enumerate(called(run_one_day, waiting, jobs, ui.tell), start=1):
                 store.add(row["day"], row)
-                show(done, len(waiting))
+                show(done_count, len(waiting))
                 if not is_terminal(sys.stderr):
-                    left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
+                    left_s = (time.monotonic() - began_s) / done_count * (len(waiting) - done_count)
                     remaining = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
-                    more = f", about {remaining} more" if done < len(waiting) else ""
-                    ui.tell(f"{done} of {len(waiting)}{more}: day {row['day']}: {row['ended']}")
+                    remaining_note = (
+                        f", about {remaining} more" if done_count < len(waiting) else ""
+                    )
+                    ui.tell(
+                        f"{done_count} of {len(waiting)}{remaining_note}: "
+                        f"day {row['day']}: {row['ended']}"
+                    )
                 for name, at_s, finding in row["violations"]:
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
     except KeyboardInterrupt:
         interrupted = True
         ui.tell(f"interrupted; to continue, run the same command again with --out {folder}")
-    played = [rows[day] for day in wanted if day in rows]
-    bad = [row for row in played if row["violations"]]
+    played = [rows[day] for day in day_indices if day in rows]
+    violated = [row for row in played if row["violations"]]
     played_days = f"{len(played)} {pluralize('day', len(played))}"
-    violations = f"{len(bad)} {pluralize('violation', len(bad))}"
-    last = f"{played_days}, {violations}"
-    said = table(played), reasons(played), summary(played), last
-    print(*filter(None, said), sep="\n\n")
-    if bad:
+    violations = f"{len(violated)} {pluralize('violation', len(violated))}"
+    totals = f"{played_days}, {violations}"
+    sections = table(played), reasons(played), summary(played), totals
+    print(*filter(None, sections), sep="\n\n")
+    if violated:
         return Exit.FAILED
     return Exit.INTERRUPTED if interrupted else Exit.DONE
 
@@ -184,14 +191,14 @@ def rehearsed(
     plan = plan_of_day(seed, day, lab, experiment.setup, experiment.open, bad)
     sets = (*sets, *plan.settings)
     with tempfile.TemporaryDirectory() as scratch:
-        played = run_day(spec, sets, plan, Path(scratch))
+        outcome = run_day(spec, sets, plan, Path(scratch))
         began_s = time.process_time()
-        as_played = on_plant(load_spec(spec, sets), "emulated").experiment
-        truth, violations = observed(played, as_played, lab)
+        experiment_of_day = on_plant(load_spec(spec, sets), "emulated").experiment
+        truth, violations = observed(outcome, experiment_of_day, lab)
         row = row_of(day, truth, violations, time.process_time() - began_s)
     if violations and folder is not None:
-        about = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
-        text = dump(plan.script() | {"about": about})
+        summary = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
+        text = dump(plan.script() | {"about": summary})
         save_whole(folder / f"seed-{seed}-day-{day}.yaml", text.encode())
     return row
 
@@ -211,6 +218,6 @@ def observed(
     from tetractl_emulator.rehearsal.truth import Truth
 
     watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or WATCHDOG_S
-    swims = lab.actuator.type == "field"
-    truth = Truth(day, experiment.setup, lab.limits, watchdog_s, halts=not swims)
-    return truth, outcome_violations(truth) if swims else violations(truth)
+    has_cells = lab.actuator.type == "field"
+    truth = Truth(day, experiment.setup, lab.limits, watchdog_s, halts=not has_cells)
+    return truth, outcome_violations(truth) if has_cells else violations(truth)

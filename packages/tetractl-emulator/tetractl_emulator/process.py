@@ -22,13 +22,13 @@ from tetractl.lab.port_holder import holder
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.spec.base import Positive
 from tetractl_emulator.fault_rows import (
-    CELLS,
-    LATE,
-    MOVED,
-    NOTHING,
+    CELL_REASONS,
+    LATE_REASONS,
+    MOVED_REASONS,
+    NO_REASON,
     FaultRow,
-    between,
     one_of,
+    value_between,
 )
 from tetractl_emulator.faults import fault_kind, switching
 
@@ -157,15 +157,15 @@ class ThisProcess(Process):
         self._supervision.emergency.set()
 
 
-STANDS = f"stood still|late|{CELLS}|{LATE}"  # cells seem to stand still meanwhile
-ASLEEP = f"{STANDS}|{MOVED}"
+STANDS = f"stood still|late|{CELL_REASONS}|{LATE_REASONS}"  # cells seem to stand still meanwhile
+ASLEEP = f"{STANDS}|{MOVED_REASONS}"
 PROCESS_FAULTS = (
     fault_kind(
         "signal",
         "The process that drives the robots receives this signal.",
         fields={"signal": SIGNALS},
         rows=[
-            FaultRow("killed", NOTHING, {"signal": "KILL"}, at_once=True),
+            FaultRow("killed", NO_REASON, {"signal": "KILL"}, at_once=True),
             FaultRow(
                 "signal",
                 "interrupted|cancelled",
@@ -179,7 +179,7 @@ PROCESS_FAULTS = (
         "stopped",
         "The process that drives the robots is suspended, or sleeps.",
         rows=[
-            FaultRow("suspended", ASLEEP, {"for": between(0.02, 5)}),
+            FaultRow("suspended", ASLEEP, {"for": value_between(0.02, 5)}),
             FaultRow("computer sleeps", ASLEEP, {"for": one_of(3.0, 30.0)}),
         ],
         begin=switching(lambda f, p: p.stop),
@@ -194,18 +194,20 @@ PROCESS_FAULTS = (
         "host_clock",
         "The computer's monotonic clock jumps by this time [s]. Works only in virtual time.",
         fields={"by": Positive},
-        rows=[FaultRow("host's clock jumps", STANDS, {"by": between(0.02, 6)}, at_once=True)],
+        rows=[FaultRow("host's clock jumps", STANDS, {"by": value_between(0.02, 6)}, at_once=True)],
     ),
     fault_kind(
         "busy",
         "Each plan, or one plan in `every`, takes this time [s]. Works only in virtual time.",
         fields={"seconds": Positive, "every": (Annotated[int, Field(ge=1)], 1)},
         rows=[
-            FaultRow("host busy", f"late|silent|{MOVED}", {"seconds": between(0.01, 6)}),
+            FaultRow(
+                "host busy", f"late|silent|{MOVED_REASONS}", {"seconds": value_between(0.01, 6)}
+            ),
             FaultRow(
                 "host busy at times",
-                f"late|silent|{MOVED}",
-                {"seconds": between(0.05, 0.45), "every": one_of(2, 3, 4)},
+                f"late|silent|{MOVED_REASONS}",
+                {"seconds": value_between(0.05, 0.45), "every": one_of(2, 3, 4)},
                 weight=0.5,
             ),
         ],
@@ -219,7 +221,7 @@ PROCESS_FAULTS = (
     fault_kind(
         "second_run",
         "A second run opens the same port.",
-        rows=[FaultRow("second run", NOTHING, at_once=True, weight=0.5)],
+        rows=[FaultRow("second run", NO_REASON, at_once=True, weight=0.5)],
         begin=lambda f, p: p.run_again(),
     ),
 )

@@ -27,30 +27,32 @@ from tetractl_microscope.one_recording import (
 )
 
 GRID_S = 0.05  # time step of the analysis
-SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
+SMOOTHING_STEPS = (
+    8  # steps over which a course is measured: a turn of a cell's helix takes about as long
+)
 LONGEST_GAP_S = 0.25  # a longer gap between two positions separates a path
 SHORTEST_S = 2.0  # least duration of a piece of a path
-STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
-TURNS = 0.3
+STILL_RAD_S = 0.1  # turning rate that always counts as unexplained [rad/s]
+TURNING_STD_MIN_RAD_S = 0.3
 """Standard deviation of turning rates above which robots count as turning [rad/s]."""
 DELAYS_S = np.arange(21) / 10
-"""Dead times that are tried [s]: up to the longest that `identify` finds."""
-AT_ONCE_S = np.arange(3) / 10
-"""Dead times that are tried for a field to which no dead time is fitted [s]."""
+"""Dead times that are tried [s], up to the longest that `identify` can find."""
+SHORT_DELAYS_S = np.arange(3) / 10
+"""Dead times that are tried for a field whose dead time is not fitted [s]."""
 SHIFTS_S = np.arange(-100, 101) / 10
 """Differences of two clocks that are tried [s]."""
-ENOUGH_S = 8.0
+SEEN_MIN_S = 8.0
 """Minimum time for which robots must be seen, added over all robots [s].
 
 Below it, chance explains much of their turning.
 """
 COURSES_MAX = 20
-"""Number of courses, the longest, that are enough to see which directions act."""
+"""Maximum number of courses that are used: the longest ones."""
 COURSE_S = 120.0
-"""Length of a course that is enough [s]."""
+"""Maximum duration of a course that is used [s]. The rest is cut off."""
 
-WHEN = "{when}"
-"""In a sentence on a reading, what stands for its delay."""
+DELAY_PLACEHOLDER = "{when}"
+"""Placeholder in the message of a reading. The delay replaces it."""
 
 FieldAt = Callable[[Floats], NDArray[np.complex128]]
 """Function that returns the direction that acts at times [s] as x + iy, 0 for none."""
@@ -67,7 +69,7 @@ class TurnedCourse:
 
     Attributes:
         times: The times [s], shape (K,).
-        angle: The angles over SMOOTH steps [rad], shape (K,).
+        angle: The angles over SMOOTHING_STEPS steps [rad], shape (K,).
     """
 
     times: Floats
@@ -102,8 +104,8 @@ class SentDirections:
 
         It is 0 before the first direction.
         """
-        now = np.searchsorted(self.times, times, side="right") - 1
-        return np.where(now < 0, 0.0, self.acts[now])
+        index = np.searchsorted(self.times, times, side="right") - 1
+        return np.where(index < 0, 0.0, self.acts[index])
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,24 +130,24 @@ class DirectionReading:
 def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
     """Compute the courses along paths (K, 3) of times [s] and positions x, y.
 
-    A course is the direction from each place to the place SMOOTH steps later.
+    A course is the direction from each place to the place SMOOTHING_STEPS steps later.
     """
     turned: list[TurnedCourse] = []
-    for piece in chain.from_iterable(map(_pieces, paths)):
+    for piece in chain.from_iterable(map(_split_at_gaps, paths)):
         times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
         x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
-        places = x + 1j * y
-        directions = np.angle(places[SMOOTH:] - places[:-SMOOTH])
-        turned.append(_course(times, np.unwrap(directions)))
+        positions = x + 1j * y
+        directions = np.angle(positions[SMOOTHING_STEPS:] - positions[:-SMOOTHING_STEPS])
+        turned.append(_centred_course(times, np.unwrap(directions)))
     return turned
 
 
-def _course(times: Floats, angle: Floats) -> TurnedCourse:
-    """Create a course from angles, each measured over SMOOTH steps between times (K,) [s].
+def _centred_course(times: Floats, angle: Floats) -> TurnedCourse:
+    """Create a course from angles, each measured over SMOOTHING_STEPS steps between times (K,) [s].
 
     Each angle gets the time in the middle of its steps.
     """
-    return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
+    return TurnedCourse(times[SMOOTHING_STEPS // 2 : SMOOTHING_STEPS // 2 + len(angle)], angle)
 
 
 def check_directions(
@@ -159,7 +161,7 @@ def check_directions(
     """Check that robots turn by the stated directions, and not by another reading of them.
 
     Directions that are only rotated are accepted: the angle is the heading bias. If robots were
-    seen for less than ENOUGH_S, or hardly turn, nothing is known and nothing is raised.
+    seen for less than SEEN_MIN_S, or hardly turn, nothing is known and nothing is raised.
 
     Args:
         source: The file of the directions.
@@ -173,36 +175,38 @@ def check_directions(
         UsageError: If another reading explains the turning, or if the directions explain too
             little.
     """
-    longest = _longest(turned)
+    longest = _longest_courses(turned)
     if not longest:
         return
-    share, _ = _best_delay(longest, sent, delays_s, towards)
-    if share >= EXPLAINED:
+    fraction, _ = _best_delay(longest, sent, delays_s, towards)
+    if fraction >= EXPLAINED:
         return
-    others = list[Reading]()
+    readings_tried = list[Reading]()
     for reading in readings:
-        share, delay_s = _best_delay(longest, reading.sent, reading.delays_s, reading.response)
-        when = f"{abs(delay_s):.1f} s {'before' if delay_s < 0 else 'after'}"
-        others.append(Reading(share, reading.message.replace(WHEN, when), reading.hint))
+        fraction, delay_s = _best_delay(longest, reading.sent, reading.delays_s, reading.response)
+        delay_text = f"{abs(delay_s):.1f} s {'before' if delay_s < 0 else 'after'}"
+        readings_tried.append(
+            Reading(fraction, reading.message.replace(DELAY_PLACEHOLDER, delay_text), reading.hint)
+        )
     rates = np.concatenate([np.diff(course.angle) / GRID_S for course in longest])
-    turns = rates.std() > TURNS
-    share, _ = _best_delay(longest, sent, delays_s, rotated)
-    check_explained(source, "turns", share, fraction_min if turns else 0.0, others)
+    is_turning = rates.std() > TURNING_STD_MIN_RAD_S
+    fraction, _ = _best_delay(longest, sent, delays_s, rotated)
+    check_explained(source, "turns", fraction, fraction_min if is_turning else 0.0, readings_tried)
 
 
-def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
+def _longest_courses(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
     """Select the COURSES_MAX longest courses, each cut to its first COURSE_S.
 
-    Empty if robots were seen for less than ENOUGH_S in total.
+    Empty if robots were seen for less than SEEN_MIN_S in total.
     """
     by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
-    begin = slice(round(COURSE_S / GRID_S))
-    longest = [course.at(begin) for course in by_length[:COURSES_MAX]]
+    first_part = slice(round(COURSE_S / GRID_S))
+    longest = [course.at(first_part) for course in by_length[:COURSES_MAX]]
     seen_s = sum(len(course.times) for course in longest) * GRID_S
-    return longest if seen_s >= ENOUGH_S else []
+    return longest if seen_s >= SEEN_MIN_S else []
 
 
-def image(
+def mirror_reading(
     poses_file: str, source: str, sent: SentDirections, who: str = "robots"
 ) -> DirectionReading:
     """Return the mirror image of the directions in a file.
@@ -240,14 +244,14 @@ def other_readings(
         who: Who turns by them, for the message.
     """
     degrees = replace(sent, angles=np.radians(sent.angles))
-    said = f"{source}: the motion of {who} fits the directions only if they are in degrees"
+    problem = f"{source}: the motion of {who} fits the directions only if they are in degrees"
     readings = [
-        DirectionReading(degrees, DELAYS_S, towards, said, "rename the column to direction_deg"),
+        DirectionReading(degrees, DELAYS_S, towards, problem, "rename the column to direction_deg"),
         DirectionReading(
             sent=sent,
             delays_s=SHIFTS_S,
             response=towards,
-            message=f"{source}: {who} turn {WHEN} the directions that they receive",
+            message=f"{source}: {who} turn {DELAY_PLACEHOLDER} the directions that they receive",
             hint="the times in both files must come from the same clock",
         ),
     ]
@@ -259,11 +263,11 @@ def other_readings(
         (60.0, "minutes", "rename the column to time_min"),
     ):
         in_unit = replace(sent, times=seconds * sent.times)
-        said = (
+        problem = (
             f"{source}: the motion of {who} fits the times of the directions only if "
             f"the times are {unit}"
         )
-        readings.append(DirectionReading(in_unit, DELAYS_S, towards, said, hint))
+        readings.append(DirectionReading(in_unit, DELAYS_S, towards, problem, hint))
     return readings
 
 
@@ -278,9 +282,9 @@ def _best_delay(
     best = (-np.inf, 0.0)
     for delay_s in delays_s.tolist():
         field = replace(sent, times=sent.times + delay_s).at
-        share, _ = turning_fit(turned, field, response)
-        if share > best[0]:
-            best = (share, delay_s)
+        fraction, _ = turning_fit(turned, field, response)
+        if fraction > best[0]:
+            best = (fraction, delay_s)
     return best
 
 
@@ -332,17 +336,17 @@ def turning_fit(
     unexplained = 0.0
     vectors: list[complex] = []
     for course in turned:
-        rate = np.gradient(course.angle, GRID_S)[SMOOTH:-SMOOTH]
-        vector, explained = response(_rates(course, field), rate)
+        rate = np.gradient(course.angle, GRID_S)[SMOOTHING_STEPS:-SMOOTHING_STEPS]
+        vector, explained = response(_unit_turning_rates(course, field), rate)
         residual = rate - explained
-        still = STILL**2 * len(rate)
-        total += float(rate @ rate) + still
-        unexplained += float(residual @ residual) + still
+        floor = STILL_RAD_S**2 * len(rate)
+        total += float(rate @ rate) + floor
+        unexplained += float(residual @ residual) + floor
         vectors.append(vector)
     return 1 - unexplained / total, np.array(vectors)
 
 
-def _pieces(path: Floats) -> list[Floats]:
+def _split_at_gaps(path: Floats) -> list[Floats]:
     """Split a path (K, 3) at gaps above LONGEST_GAP_S.
 
     The pieces that last longer than SHORTEST_S are returned in their order.
@@ -353,9 +357,11 @@ def _pieces(path: Floats) -> list[Floats]:
     return [piece for piece in np.split(path, cuts) if np.ptp(piece[:, 0]) > SHORTEST_S]
 
 
-def _rates(course: TurnedCourse, field: FieldAt) -> Floats:
+def _unit_turning_rates(course: TurnedCourse, field: FieldAt) -> Floats:
     """Compute the turning rates that a = 1 gives with f = 0 and with f = pi / 2, shape (M, 2)."""
-    box = np.ones(SMOOTH) / SMOOTH  # a course is a mean, and so is what turns it
+    window = (
+        np.ones(SMOOTHING_STEPS) / SMOOTHING_STEPS
+    )  # a course is a mean, and so is what turns it
     pull = field(course.times) * np.exp(-1j * course.angle)
-    mean = np.convolve(pull, box, "same")[SMOOTH:-SMOOTH]
-    return np.stack([mean.imag, mean.real], axis=1)
+    mean_pull = np.convolve(pull, window, "same")[SMOOTHING_STEPS:-SMOOTHING_STEPS]
+    return np.stack([mean_pull.imag, mean_pull.real], axis=1)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tetractl_microscope.choice.ranked import RankedChoice
 
 
-FILES = (
+FILE_FIELDS = (
     ("identified",),
     ("lab", "calibration"),
     ("plant", "calibration"),
@@ -100,7 +100,7 @@ def survey(
             raise UsageError(
                 f"a camera of type {camera.type} cannot be calibrated with a micrometer"
             )
-        return save_calibration(out, camera.measured_by(*_places(micrometer)))
+        return save_calibration(out, camera.measured_by(*_parse_micrometer(micrometer)))
     choice = experiment.chosen
     unit = experiment.units.length
     if not isinstance(choice, Choice) or not experiment.open:
@@ -124,10 +124,12 @@ def survey(
         _print_cells(cells, pairs, unit)
         print(f"turning: {turning}")
 
-    def done(count: int, total: int) -> None:
+    def report_progress(count: int, total: int) -> None:
         ui.tell(f"prediction {count} of {total}")
 
-    choices = ranked(experiment, cells, Noise.from_plant(loaded.experiment.plant), plans, done)
+    choices = ranked(
+        experiment, cells, Noise.from_plant(loaded.experiment.plant), plans, report_progress
+    )
     if as_json:
         listed_choices = [
             {"cells": proposal.numbers, "error": proposal.error} for proposal in choices
@@ -150,41 +152,43 @@ def survey(
             print(_choice_line(proposal, unit))
     if not choices or not math.isfinite(choices[0].error):
         control = planner(experiment)
-        able = sum(cell.magnetised for cell in cells)
+        responding_count = sum(cell.magnetised for cell in cells)
         horizon_s = control.horizon_max * control.signal_periods * control.period
         if choices:
-            why = (
+            reason = (
                 f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
                 f"{tolerance(control):g} {unit} of the targets"
             )
-        elif able < choice.choose:
-            why = (
-                f"only {able} of {len(cells)} cells respond to the field, but {choice.choose} "
-                "are needed"
+        elif responding_count < choice.choose:
+            reason = (
+                f"only {responding_count} of {len(cells)} cells respond to the field, but "
+                f"{choice.choose} are needed"
             )
         else:
-            why = (
+            reason = (
                 f"any {choice.choose} of the cells include two that cannot be distinguished "
                 "after they have met"
             )
-        ui.tell(f"no choice of these cells can be steered to the targets: {why}")
+        ui.tell(f"no choice of these cells can be steered to the targets: {reason}")
         return Exit.FAILED
     if out is not None:
         data = with_settings(parse_document(loaded.text, str(spec)), sets or []).data
-        wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in choices[0].cells]
-        data["robots"]["wanted"] = wanted
-        _keep_files(data, spec.parent, out.parent)
+        wanted_cells = [
+            {"a": round(cell.a, 4), "speed": round(cell.speed, 2)} for cell in choices[0].cells
+        ]
+        data["robots"]["wanted"] = wanted_cells
+        _rebase_file_names(data, spec.parent, out.parent)
         save_whole(out, dump(data).encode())
         ui.tell(f"wrote {out}: a trial of this spec finds the same cells again")
     return Exit.DONE
 
 
-def _keep_files(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
+def _rebase_file_names(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
     """Change a spec's file names, in place, to be relative to `new_folder` instead of `folder`.
 
     Fields that name no file are left alone.
     """
-    for *sections, field in FILES:
+    for *sections, field in FILE_FIELDS:
         section = data
         for name in sections:
             section = section.get(name) or {}
@@ -193,23 +197,28 @@ def _keep_files(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
             section[field] = os.path.relpath(folder / file, new_folder)
 
 
-def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
+def _parse_micrometer(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
     """Parse the option --micrometer: two positions [px], and their distance [um].
 
     Raises:
         UsageError: If it is not five finite numbers, or if the distance is not above 0.
     """
     try:
-        a, b, c, d, um = (float(part) for part in text.split(","))
+        first_column, first_row, second_column, second_row, distance_um = (
+            float(number) for number in text.split(",")
+        )
     except ValueError:
-        a = b = c = d = um = math.nan
-    if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
+        first_column = first_row = second_column = second_row = distance_um = math.nan
+    if not (
+        math.isfinite(first_column + first_row + second_column + second_row)
+        and 0 < distance_um < math.inf
+    ):
         raise UsageError(
             f"--micrometer {text}: give five numbers in the form C,R,C,R,UM:"
             " column and row of two places in the image [px], and their distance [um]; for "
             "example, 112,540,901,548,2000"
         )
-    return (a, b), (c, d), um
+    return (first_column, first_row), (second_column, second_row), distance_um
 
 
 def _choice_line(proposal: "RankedChoice", unit: str) -> str:
@@ -224,8 +233,8 @@ def _choice_line(proposal: "RankedChoice", unit: str) -> str:
         else "none, as no plan was found"
     )
     near_edge = ", ".join(str(cell.number) for cell in proposal.cells if not cell.free)
-    doubt = f"; less certain, because of cells near the edge: {near_edge}" if near_edge else ""
-    return f"cells {numbers}: predicted mean total error {error}{doubt}"
+    doubt_note = f"; less certain, because of cells near the edge: {near_edge}" if near_edge else ""
+    return f"cells {numbers}: predicted mean total error {error}{doubt_note}"
 
 
 def _print_cells(
@@ -240,12 +249,12 @@ def _print_cells(
     from tetractl.statistics.estimate import NORMAL_QUANTILE
 
     for cell in cells:
-        magnet = "" if cell.magnetised else ", does not respond to the field"
-        near = "" if cell.free else ", was near the edge, so its turning rate a is unreliable"
+        response_note = "" if cell.magnetised else ", does not respond to the field"
+        edge_note = "" if cell.free else ", was near the edge, so its turning rate a is unreliable"
         print(
             f"cell {cell.number} at ({cell.pose.x:.0f}, {cell.pose.y:.0f}) {unit}: "
             f"a {cell.a:.2f} ± {NORMAL_QUANTILE * cell.a_sd:.2f} rad/s, speed "
-            f"{cell.speed:.0f} ± {NORMAL_QUANTILE * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
+            f"{cell.speed:.0f} ± {NORMAL_QUANTILE * cell.speed_sd:.0f} {unit}/s{response_note}{edge_note}"
         )
     for first, second in pairs:
         print(f"cells {first.number} and {second.number} cannot be distinguished after they meet")

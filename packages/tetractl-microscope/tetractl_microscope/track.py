@@ -71,10 +71,10 @@ def track(
     """
     from tetractl_microscope.organisms import named
     from tetractl_microscope.sent_directions import (
-        AT_ONCE_S,
+        SHORT_DELAYS_S,
         check_directions,
         courses,
-        image,
+        mirror_reading,
         other_readings,
     )
     from tetractl_microscope.tracks.cell_tables import cell_data, cell_tables
@@ -105,9 +105,9 @@ def track(
     if directions is not None and field is not None:
         ui.tell(*clock_remarks(directions, str(field), str(tracks), *cells.span_s))
         readings = other_readings(str(field), directions, cells.period_s, "cells")
-        readings.append(image(str(tracks), str(field), directions, "cells"))
+        readings.append(mirror_reading(str(tracks), str(field), directions, "cells"))
         rows = [path.rows for path in cells.paths]
-        check_directions(str(field), courses(rows), directions, AT_ONCE_S, readings)
+        check_directions(str(field), courses(rows), directions, SHORT_DELAYS_S, readings)
         ui.tell(*side_remarks(directions, rows))
     together = stage_remarks(cells.paths, directions)
     ui.tell(*together)

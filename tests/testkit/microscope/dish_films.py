@@ -24,7 +24,7 @@ cv2.setNumThreads(1)
 
 def film(seed=1, side=384, look=None, **script):
     """A film of a small picture; `look` are values that are not drawn."""
-    drawn = PictureLook.drawn(np.random.default_rng(seed), side, 2.3)
+    drawn = PictureLook.sample(np.random.default_rng(seed), side, 2.3)
     values = {name: getattr(drawn, name) for name in drawn.__slots__} | (look or {})
     options = {"seconds": 4.0, "cells": 4, "events": False} | script
     return SyntheticFilm(FilmScript(**options), PictureLook(**values), seed)

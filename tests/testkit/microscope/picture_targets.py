@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 from tetractl_emulator.pictures.network_camera import BOUNDARY, coded, part
-from tetractl_microscope.cells.detect_cells import BLOBS
+from tetractl_microscope.cells.detect_cells import BLOBS_MAX
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.multipart import Multipart
@@ -51,7 +51,7 @@ def pictures(data: bytes) -> None:
         if grey is None:
             continue
         cells = tracker.see(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])
-        assert len(cells) <= BLOBS
+        assert len(cells) <= BLOBS_MAX
         for cell in cells:
             assert all(map(math.isfinite, (cell.x, cell.y, cell.heading, *cell.mean)))
             assert 0 <= cell.probability <= 1

@@ -7,7 +7,7 @@ from testkit.cli import tetractl
 from testkit.emulator.lab_processes import APRILTAG, SMALL, SPEC, flags
 from testkit.emulator.virtual_lab import virtual_lab
 from testkit.paths import EXAMPLES
-from tetractl_emulator.fault_rows import SEEN, SIGHT
+from tetractl_emulator.fault_rows import CAMERA_REASONS, SEEN_REASONS
 from tetractl_emulator.lab_rehearse import rehearsed
 from tetractl_emulator.rehearsal import day_plan
 
@@ -99,7 +99,7 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
 def test_a_day_of_cells_is_observed(monkeypatch):
     """Without pictures the trial ends for that reason; any other reason would be a violation."""
     pytest.importorskip("cv2")
-    lost = {"kind": "no pictures", "right": SEEN, "fault": "no_frames", "at": 6.3}
+    lost = {"kind": "no pictures", "right": SEEN_REASONS, "fault": "no_frames", "at": 6.3}
     plan_days(monkeypatch, lost)
     of_day = EXAMPLES / "tetrahymena_dish.yaml", DISH[1::2], 1, 0
     row = rehearsed(*of_day)
@@ -124,7 +124,7 @@ def test_a_planted_defect_is_found_and_its_day_written_and_kept(tmp_path, monkey
     Regression: a violation was forgotten by the same command again.
     """
     doubled = {"kind": "packets doubled", "right": "$.", "fault": "doubled_packets", "at": 0.2}
-    untracked = {"kind": "untracked", "right": SIGHT, "fault": "untracked"}
+    untracked = {"kind": "untracked", "right": CAMERA_REASONS, "fault": "untracked"}
     plan_days(monkeypatch, doubled, untracked | {"robot": "green", "at": 0.6}, seed=5)
     monkeypatch.setattr(Guard, "_check_tracking", lambda self: None)
     done = rehearse(tmp_path, "--days", "2", "--jobs", "2")
@@ -158,7 +158,7 @@ def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
     """Regression: no row of the table had the reason."""
-    silent = {"kind": "server silent", "fault": "no_server", "right": SIGHT}
+    silent = {"kind": "server silent", "fault": "no_server", "right": CAMERA_REASONS}
     silent |= {"since": "start", "at": 0.0, "for": 2.778}
     plan_days(monkeypatch, silent)
     done = rehearse(tmp_path, "--days", "1").ok()
@@ -170,7 +170,7 @@ def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, m
 def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
     """A pose to which no cell can have swum ends the trial."""
     pytest.importorskip("tetractl_microscope")
-    jump = {"fault": "jump", "right": SIGHT, "robot": "first", "by": [0.6, 0.0], "at": 2.0}
+    jump = {"fault": "jump", "right": CAMERA_REASONS, "robot": "first", "by": [0.6, 0.0], "at": 2.0}
     plan_days(monkeypatch, {"kind": "pose jumps", **jump})
     words = "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml", "--days", "1"
     done = tetractl(tmp_path, *words, "--out", "days").ok()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from testkit.emulator.device_specs import FIELD_SPEC
 from testkit.lab_specs import SPEC
 from tetractl_emulator import fault_rows
-from tetractl_emulator.fault_rows import FRAME_S, STRONG, Draw
+from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, FRAME_S, Draw
 from tetractl_emulator.optitrack.scripted import FAULTS
 
 from tetractl.spec.load import parse_spec
@@ -31,31 +31,34 @@ def size_at(strength):
 @given(strengths, seeds)
 def test_sizes_grow_with_the_strength_from_the_least_to_the_most(strength, seed):
     expected = pytest.approx(size_at(strength), rel=1e-3)
-    assert fault_rows.between(LOW, HIGH)(draw(strength, seed)) == expected
-    assert abs(fault_rows.signed(LOW, HIGH)(draw(strength, seed))) == expected
-    assert abs(fault_rows.factor(LOW, HIGH)(draw(strength, seed)) - 1) == expected
-    assert math.hypot(*fault_rows.vector(LOW, HIGH)(draw(strength, seed))) == expected
+    assert fault_rows.value_between(LOW, HIGH)(draw(strength, seed)) == expected
+    assert abs(fault_rows.signed_value(LOW, HIGH)(draw(strength, seed))) == expected
+    assert abs(fault_rows.factor_near_one(LOW, HIGH)(draw(strength, seed)) - 1) == expected
+    assert math.hypot(*fault_rows.random_vector(LOW, HIGH)(draw(strength, seed))) == expected
     whole = fault_rows.whole_number(LOW, HIGH)(draw(strength, seed))
     assert isinstance(whole, int)
     assert whole == pytest.approx(size_at(strength), abs=0.51)
-    assert fault_rows.pair(fault_rows.between(LOW, HIGH))(draw(strength, seed)) == [whole, whole]
+    assert fault_rows.pair(fault_rows.value_between(LOW, HIGH))(draw(strength, seed)) == [
+        whole,
+        whole,
+    ]
 
 
 @given(strengths, seeds)
 def test_lengths_and_changes_of_a_frame_are_scaled(strength, seed):
-    length = math.hypot(*fault_rows.off(LOW, HIGH)(draw(strength, seed, 0.1)))
+    length = math.hypot(*fault_rows.scaled_vector(LOW, HIGH)(draw(strength, seed, 0.1)))
     assert length == pytest.approx(0.1 * size_at(strength), rel=1e-3)
-    length = math.hypot(*fault_rows.off(LOW, HIGH, FRAME_S)(draw(strength, seed, 0.1)))
+    length = math.hypot(*fault_rows.scaled_vector(LOW, HIGH, FRAME_S)(draw(strength, seed, 0.1)))
     assert length == pytest.approx(0.1 * FRAME_S * size_at(strength), rel=1e-2)
-    change = abs(fault_rows.signed(LOW, HIGH, FRAME_S)(draw(strength, seed)))
+    change = abs(fault_rows.signed_value(LOW, HIGH, FRAME_S)(draw(strength, seed)))
     assert change == pytest.approx(FRAME_S * size_at(strength), rel=1e-3)
-    change = abs(fault_rows.factor(LOW, HIGH, FRAME_S)(draw(strength, seed)) - 1)
+    change = abs(fault_rows.factor_near_one(LOW, HIGH, FRAME_S)(draw(strength, seed)) - 1)
     assert change == pytest.approx(FRAME_S * size_at(strength), rel=1e-3)
 
 
 @given(strengths, seeds, st.floats(-3, 3))
 def test_a_motion_along_a_line_goes_forwards_or_backwards_on_it(strength, seed, angle):
-    x, y = fault_rows.along(LOW, HIGH, angle)(draw(strength, seed, 2.0))
+    x, y = fault_rows.along_line(LOW, HIGH, angle)(draw(strength, seed, 2.0))
     assert math.hypot(x, y) == pytest.approx(2.0 * FRAME_S * size_at(strength), rel=1e-3)
     assert x * math.sin(angle) - y * math.cos(angle) == pytest.approx(0, abs=1e-5)
 
@@ -63,10 +66,16 @@ def test_a_motion_along_a_line_goes_forwards_or_backwards_on_it(strength, seed, 
 def test_both_signs_and_all_directions_occur():
     """Of 200 draws; that one in four quadrants is left out has the probability 4e-25."""
     each = range(200)
-    assert {fault_rows.signed(1, 2)(draw(seed=seed)) > 0 for seed in each} == {True, False}
-    assert {fault_rows.factor(0.1, 0.2)(draw(seed=seed)) > 1 for seed in each} == {True, False}
-    assert {fault_rows.along(1, 2, 0.0)(draw(seed=seed))[0] > 0 for seed in each} == {True, False}
-    vectors = [fault_rows.vector(1, 2)(draw(seed=seed)) for seed in each]
+    assert {fault_rows.signed_value(1, 2)(draw(seed=seed)) > 0 for seed in each} == {True, False}
+    assert {fault_rows.factor_near_one(0.1, 0.2)(draw(seed=seed)) > 1 for seed in each} == {
+        True,
+        False,
+    }
+    assert {fault_rows.along_line(1, 2, 0.0)(draw(seed=seed))[0] > 0 for seed in each} == {
+        True,
+        False,
+    }
+    vectors = [fault_rows.random_vector(1, 2)(draw(seed=seed)) for seed in each]
     assert len({(x > 0, y > 0) for x, y in vectors}) == 4
     values = {fault_rows.one_of(1, "a", None)(draw(seed=seed)) for seed in each}
     assert values == {1, "a", None}
@@ -74,26 +83,30 @@ def test_both_signs_and_all_directions_occur():
 
 @given(strengths)
 def test_parts_are_at_most_1_and_what_remains_at_least_its_least(strength):
-    assert fault_rows.part(0.5, 3.0)(draw(strength)) <= 1
-    assert fault_rows.part(0.1, 0.5)(draw(strength)) == pytest.approx(0.1 * 5**strength, rel=1e-3)
-    assert fault_rows.less(0.1, 0.5)(draw(strength)) == pytest.approx(
+    assert fault_rows.fraction_between(0.5, 3.0)(draw(strength)) <= 1
+    assert fault_rows.fraction_between(0.1, 0.5)(draw(strength)) == pytest.approx(
+        0.1 * 5**strength, rel=1e-3
+    )
+    assert fault_rows.one_minus(0.1, 0.5)(draw(strength)) == pytest.approx(
         1 - 0.1 * 5**strength, abs=2e-4
     )
-    assert fault_rows.less(0.5, 2.0, 0.2)(draw(strength)) >= 0.2
+    assert fault_rows.one_minus(0.5, 2.0, 0.2)(draw(strength)) >= 0.2
 
 
 def test_lost_messages_are_few_many_or_all():
-    assert fault_rows.lost(draw(0.0)) == pytest.approx(0.05, abs=0.003)
-    assert fault_rows.lost(draw(STRONG * 0.999999)) == pytest.approx(0.98, abs=0.003)
-    assert fault_rows.lost(draw(STRONG)) == 1.0
-    assert fault_rows.lost(draw(0.99)) == 1.0
-    shares = [fault_rows.lost(draw(step / 100)) for step in range(100)]
+    assert fault_rows.lost_fraction(draw(0.0)) == pytest.approx(0.05, abs=0.003)
+    assert fault_rows.lost_fraction(draw(ENDLESS_STRENGTH * 0.999999)) == pytest.approx(
+        0.98, abs=0.003
+    )
+    assert fault_rows.lost_fraction(draw(ENDLESS_STRENGTH)) == 1.0
+    assert fault_rows.lost_fraction(draw(0.99)) == 1.0
+    shares = [fault_rows.lost_fraction(draw(step / 100)) for step in range(100)]
     assert shares == sorted(shares)
 
 
 def test_the_fault_is_of_the_first_robot_and_the_other_is_another():
-    assert fault_rows.NAMES["robot"](draw()) == "green"
-    assert fault_rows.NAMES["other"](draw()) == "blue"
+    assert fault_rows.NAME_FUNCTIONS["robot"](draw()) == "green"
+    assert fault_rows.NAME_FUNCTIONS["other"](draw()) == "blue"
 
 
 def test_lengths_are_scaled_by_the_fastest_cell_and_not_for_robots_on_wheels():

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
-from tetractl_emulator.pictures.field import _rests
+from tetractl_emulator.pictures.field import _resting_switch
 
 from tetractl.model.swimmers import Swimmers
 
@@ -13,7 +13,9 @@ def test_only_the_named_cell_rests_and_swims_on_afterwards():
     cells = Swimmers.drawn(np.random.default_rng(620144), 2)
     dish = SimpleNamespace(cells=cells)
     bodies = [SimpleNamespace(name="first"), SimpleNamespace(name="second")]
-    switch = _rests(SimpleNamespace(cell="second"), SimpleNamespace(bodies=bodies, dish=dish))
+    switch = _resting_switch(
+        SimpleNamespace(cell="second"), SimpleNamespace(bodies=bodies, dish=dish)
+    )
     switch(True)
     assert cells.resting.tolist() == [False, True]
     switch(False)

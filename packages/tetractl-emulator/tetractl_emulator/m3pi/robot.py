@@ -22,7 +22,7 @@ from tetractl.plant.drive_kernels import roll
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.firmware import RobotCore
 
-STANDING_MM_S = 1.0
+STANDSTILL_MM_S = 1.0
 AT_REST_MM_S = 1e-9
 FULL_LOAD_MM_S = 2000.0  # both wheels together
 ON_MS = 10_000  # how long robots have been on when an emulation begins
@@ -32,8 +32,8 @@ Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
 
 
-Held = tuple[Counts, tuple[float, float]]
-"""The counts of a robot's motors, and the fraction of its commanded speed of each wheel."""
+MotorDrive = tuple[Counts, tuple[float, float]]
+"""What drives a robot: the counts of both motors, and the fraction of its speed at each wheel."""
 
 
 class Program(Protocol):
@@ -89,8 +89,8 @@ class EmulatedRobot:
         self.name = name
         self.index = index
         self._make_core = make_core
-        self._switched_on_ms = 0  # from when on its program counts
-        self.core = self._core_of_long_ago()
+        self._switched_on_ms = 0  # time from which its program counts
+        self.core = self._make_running_core()
         self._unloaded_mv = battery_mv
         self.powered = True
         self.acting = acting or ActingFaults()
@@ -118,11 +118,11 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels stand still, or turn more slowly than STANDING_MM_S [mm/s].
+        """Whether both wheels stand still, or turn more slowly than STANDSTILL_MM_S.
 
         A camera could not detect such a slow motion.
         """
-        return max(map(abs, self.wheels)) < STANDING_MM_S
+        return max(map(abs, self.wheels)) < STANDSTILL_MM_S
 
     def hear(self, data: bytes) -> None:
         """Process bytes from the robot's radio module.
@@ -138,9 +138,9 @@ class EmulatedRobot:
 
         During the fault `low_battery`, it is the voltage of the fault.
         """
-        low = self.acting.newest("low_battery", self.name)
-        if low is not None:
-            return low.millivolts
+        fault = self.acting.newest("low_battery", self.name)
+        if fault is not None:
+            return fault.millivolts
         load = min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
         return max(0, round(self._unloaded_mv - SAG_MV * load))
 
@@ -183,10 +183,13 @@ class EmulatedRobot:
         """
         if not self.acting.any_yet:
             return 1.0
-        if any(f.wheel in (wheel, "both") for f in self.acting.of_kind("wheel_stuck", self.name)):
+        if any(
+            fault.wheel in (wheel, "both")
+            for fault in self.acting.of_kind("wheel_stuck", self.name)
+        ):
             return 0.0
-        weak = self.acting.of_kind("weak_wheel", self.name)
-        return min((fault.share for fault in weak if fault.wheel in (wheel, "both")), default=1.0)
+        faults = self.acting.of_kind("weak_wheel", self.name)
+        return min((fault.share for fault in faults if fault.wheel in (wheel, "both")), default=1.0)
 
     def switch(self, on: bool) -> None:
         """Switch the robot on or off.
@@ -204,9 +207,9 @@ class EmulatedRobot:
         The new program has already run for ON_MS.
         """
         self.index = index
-        self.core = self._core_of_long_ago()
+        self.core = self._make_running_core()
 
-    def _core_of_long_ago(self) -> Program:
+    def _make_running_core(self) -> Program:
         """Create a program for the robot's present index that has already run for ON_MS."""
         core = self._make_core(self.index)
         core.wheels(ON_MS)
@@ -258,14 +261,16 @@ class EmulatedRobots:
         at_zero = Poses(*np.zeros((3, len(robots))))
         self._wheeled = WheeledRobots(at_zero, radius, lag_s, AT_REST_MM_S)
         self._wheeled.roll = roll
-        self._wheeled.drive(start_ns, np.array([start_ns]))  # so that the code is loaded before
+        self._wheeled.drive(start_ns, np.array([start_ns]))  # loads the compiled code
         self.robots = robots
         self.pose = self._wheeled.pose
         self.wheels = self._wheeled.wheels
         self._drivetrains = drivetrains
         self._now_ns = start_ns
-        self._held: list[Held] = []  # of each robot; [] if not yet read
-        self._driven = False  # whether wheels follow a speed that is not 0
+        self._motor_drives: list[
+            MotorDrive
+        ] = []  # one entry per robot; empty before the first step
+        self._is_driven = False  # whether wheels follow a speed that is not 0
         for row, robot in enumerate(robots):
             robot.robots = self
             robot.row = row
@@ -282,20 +287,20 @@ class EmulatedRobots:
         """
         wheeled = self._wheeled
         while self._now_ns < until_ns:
-            held: list[Held] = [
+            drives: list[MotorDrive] = [
                 (robot.counts(), (robot.speed_fraction("left"), robot.speed_fraction("right")))
                 for robot in self.robots
             ]
-            if held != self._held:
-                self._held = held
-                counts, shares = (np.array(values).T for values in zip(*held, strict=True))
-                wheeled.targets[:] = shares * self._drivetrains.speeds(counts)
-                self._driven = bool(wheeled.targets.any())
-                is_stuck = shares == 0
-                wheeled.wheels[is_stuck] = 0.0  # it stands at once
+            if drives != self._motor_drives:
+                self._motor_drives = drives
+                counts, fractions = (np.array(values).T for values in zip(*drives, strict=True))
+                wheeled.targets[:] = fractions * self._drivetrains.speeds(counts)
+                self._is_driven = bool(wheeled.targets.any())
+                is_stuck = fractions == 0
+                wheeled.wheels[is_stuck] = 0.0  # a stuck wheel stops at once
             since_ns = self._now_ns
             self._now_ns = min(since_ns + MILLISECOND, until_ns)
-            if self._driven or wheeled.wheels.any():
+            if self._is_driven or wheeled.wheels.any():
                 wheeled.drive(since_ns, np.array([self._now_ns]))
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:

@@ -19,22 +19,22 @@ from tetractl.lab.actuators.wheel_commands import radii_mm, wheels_by_speed
 from tetractl.spec.base import Finite, Model, Name, Point, Positive
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
 from tetractl_emulator.fault_rows import (
-    LINK,
-    MOTION,
-    MOVED,
-    NOTHING,
-    OUR_HZ,
-    PLACE,
-    RADIO,
-    WHEEL,
+    DEFAULT_COMMAND_HZ,
+    LINK_REASONS,
+    MOTION_REASONS,
+    MOVED_REASONS,
+    NO_REASON,
+    PLACE_REASONS,
+    RADIO_REASONS,
+    WHEEL_SIDES,
     FaultRow,
-    between,
-    less,
-    lost,
-    off,
+    lost_fraction,
+    one_minus,
     one_of,
     pair,
-    signed,
+    scaled_vector,
+    signed_value,
+    value_between,
     whole_number,
 )
 from tetractl_emulator.faults import ActingFaults, Share, Undo, fault_kind, port_faults, switching
@@ -299,8 +299,11 @@ def _swap_numbers(fault: Any, device: Any) -> Undo:
     return swap
 
 
-ELSEWHERE = f"only an emergency stop|{MOTION}|{PLACE}"
-SENDER = {"counts": pair(signed(3, 60)), "rate": one_of(20.0, OUR_HZ, 100.0, 200.0)}
+ELSEWHERE = f"only an emergency stop|{MOTION_REASONS}|{PLACE_REASONS}"
+SENDER = {
+    "counts": pair(signed_value(3, 60)),
+    "rate": one_of(20.0, DEFAULT_COMMAND_HZ, 100.0, 200.0),
+}
 DRIVEN_ELSEWHERE = fault_kind(
     "driven_elsewhere",
     "Another program on the radio sends these counts to all robots, at this rate [Hz]. Its "
@@ -325,38 +328,38 @@ WHEELED_FAULTS = (
         "wheel_stuck",
         "One or both wheels no longer turn.",
         fields={"robot": Name, "wheel": Wheel},
-        rows=[FaultRow("wheel stuck", MOVED, {"wheel": WHEEL})],
+        rows=[FaultRow("wheel stuck", MOVED_REASONS, {"wheel": WHEEL_SIDES})],
     ),
-    *port_faults("radio", RADIO, RADIO),
+    *port_faults("radio", RADIO_REASONS, RADIO_REASONS),
     fault_kind(
         "loss",
         "This fraction of the transmissions reaches no robot.",
         fields={"share": Share},
-        rows=[FaultRow("radio silent", LINK, {"share": lost})],
+        rows=[FaultRow("radio silent", LINK_REASONS, {"share": lost_fraction})],
     ),
     fault_kind(
         "deaf",
         "This fraction of the transmissions does not reach one of the robots.",
         fields={"robot": Name, "share": Share},
-        rows=[FaultRow("robot deaf", LINK, {"share": lost})],
+        rows=[FaultRow("robot deaf", LINK_REASONS, {"share": lost_fraction})],
     ),
     fault_kind(
         "swapped_numbers",
         "Two robots have swapped numbers: each obeys the commands for the other.",
         fields={"robot": Name, "other": Name},
-        rows=[FaultRow("numbers swapped", MOVED, at_once=True, start=1.0)],
+        rows=[FaultRow("numbers swapped", MOVED_REASONS, at_once=True, start=1.0)],
         begin=_swap_numbers,
     ),
     fault_kind(
         "late_radio",
         "Transmissions arrive late by this time [s].",
         fields={"by": Positive},
-        rows=[FaultRow("radio late", LINK, {"by": between(0.005, 1)})],
+        rows=[FaultRow("radio late", LINK_REASONS, {"by": value_between(0.005, 1)})],
     ),
     fault_kind(
         "stopped_elsewhere",
         "Robots receive `tetractl lab stop` from another radio: ten emergency stops.",
-        rows=[FaultRow("stopped elsewhere", f"emergency-stopped|{LINK}", at_once=True)],
+        rows=[FaultRow("stopped elsewhere", f"emergency-stopped|{LINK_REASONS}", at_once=True)],
         begin=lambda f, d: d.stop_elsewhere(),
     ),
     fault_kind(
@@ -364,35 +367,39 @@ WHEELED_FAULTS = (
         "Transmissions arrive late by a random time of up to this value [s], so that some "
         "overtake others.",
         fields={"by": Positive},
-        rows=[FaultRow("packets overtaken", LINK, {"by": between(0.02, 1)})],
+        rows=[FaultRow("packets overtaken", LINK_REASONS, {"by": value_between(0.02, 1)})],
     ),
     fault_kind(
         "doubled_packets",
         "Robots receive each transmission twice.",
-        rows=[FaultRow("packets doubled", NOTHING, weight=0.5)],
+        rows=[FaultRow("packets doubled", NO_REASON, weight=0.5)],
     ),
     fault_kind(
         "radio_resets",
         "The radio's module restarts: it neither accepts nor sends bytes until it has started.",
-        rows=[FaultRow("radio resets", LINK)],
+        rows=[FaultRow("radio resets", LINK_REASONS)],
     ),
     fault_kind(
         "baud",
         "The radio's module is set to another baud rate.",
         fields={"baud": Literal[9600, 19200, 38400, 115200]},
-        rows=[FaultRow("other baud rate", LINK, {"baud": 9600})],
+        rows=[FaultRow("other baud rate", LINK_REASONS, {"baud": 9600})],
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the wire to and from the radio is changed.",
         fields={"share": Share},
-        rows=[FaultRow("bad bytes", LINK, {"share": between(2e-4, 0.5)})],
+        rows=[FaultRow("bad bytes", LINK_REASONS, {"share": value_between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_wheel",
         "A wheel turns at this fraction of its commanded speed.",
         fields={"robot": Name, "wheel": Wheel, "share": Share},
-        rows=[FaultRow("wheel weak", MOVED, {"wheel": WHEEL, "share": less(0.02, 1.2)})],
+        rows=[
+            FaultRow(
+                "wheel weak", MOVED_REASONS, {"wheel": WHEEL_SIDES, "share": one_minus(0.02, 1.2)}
+            )
+        ],
     ),
     fault_kind(
         "pushed",
@@ -400,11 +407,16 @@ WHEELED_FAULTS = (
         "takes 0.2 s, or no time if the robot is lifted and put elsewhere.",
         fields={"robot": Name, "by": Point, "turn": (Finite, 0.0), "at_once": (bool, False)},
         rows=[
-            FaultRow("pushed", MOVED, {"by": off(3, 200), "turn": signed(0.01, 2)}, at_once=True),
+            FaultRow(
+                "pushed",
+                MOVED_REASONS,
+                {"by": scaled_vector(3, 200), "turn": signed_value(0.01, 2)},
+                at_once=True,
+            ),
             FaultRow(
                 "put elsewhere",
-                MOVED,
-                {"by": off(10, 600), "turn": signed(0.01, 2), "at_once": True},
+                MOVED_REASONS,
+                {"by": scaled_vector(10, 600), "turn": signed_value(0.01, 2), "at_once": True},
                 at_once=True,
             ),
         ],
@@ -414,14 +426,14 @@ WHEELED_FAULTS = (
         "off",
         "A robot is switched off.",
         fields={"robot": Name},
-        rows=[FaultRow("brown-out", LINK)],
+        rows=[FaultRow("brown-out", LINK_REASONS)],
         begin=switching(lambda f, d: d.robot(f.robot).switch, False),
     ),
     fault_kind(
         "reboots",
         "A robot restarts. Afterwards it obeys commands late by this time [s].",
         fields={"robot": Name, "by": Positive},
-        rows=[FaultRow("late after a reboot", LINK, {"by": between(0.05, 3)})],
+        rows=[FaultRow("late after a reboot", LINK_REASONS, {"by": value_between(0.05, 3)})],
         begin=lambda f, d: d.robot(f.robot).switch(True),
     ),
     fault_kind(

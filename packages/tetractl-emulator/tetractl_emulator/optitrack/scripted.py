@@ -17,23 +17,23 @@ from pydantic import Field
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl_emulator.fault_rows import (
-    CLOCK,
+    CAMERA_REASONS,
+    CLOCK_REASONS,
     FRAME_S,
-    LATE,
-    MOVED,
-    NOTHING,
-    PLACE,
-    SIGHT,
+    LATE_REASONS,
+    MOVED_REASONS,
+    NO_REASON,
+    PLACE_REASONS,
     FaultRow,
-    along,
-    between,
-    factor,
+    along_line,
+    factor_near_one,
     first_robot,
-    lost,
-    off,
+    fraction_between,
+    lost_fraction,
     one_of,
-    part,
-    signed,
+    scaled_vector,
+    signed_value,
+    value_between,
     whole_number,
 )
 from tetractl_emulator.faults import Share, Undo, Visible, adding, fault_kind
@@ -115,7 +115,7 @@ def _run_clock(fault: Any, device: Any) -> Undo:
 
 def _creeping(name: str, **fields: Any) -> FaultRow:
     """Create a variant of a fault that creeps. In 30 % of the test runs it begins at the start."""
-    return FaultRow(name, MOVED, fields, start=0.3)
+    return FaultRow(name, MOVED_REASONS, fields, start=0.3)
 
 
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -126,16 +126,19 @@ FAULTS = (
         "no_server",
         "The server sends nothing.",
         SENT,
-        rows=[FaultRow("server silent", f"{SIGHT}|{CLOCK}")],
+        rows=[FaultRow("server silent", f"{CAMERA_REASONS}|{CLOCK_REASONS}")],
     ),
     fault_kind(
-        "no_frames", "The server sends no frames.", SENT, rows=[FaultRow("frames lost", SIGHT)]
+        "no_frames",
+        "The server sends no frames.",
+        SENT,
+        rows=[FaultRow("frames lost", CAMERA_REASONS)],
     ),
     fault_kind(
         "freeze",
         "The server sends the same frame repeatedly.",
         SENT,
-        rows=[FaultRow("frames frozen", SIGHT)],
+        rows=[FaultRow("frames frozen", CAMERA_REASONS)],
     ),
     fault_kind(
         "counter_back",
@@ -152,28 +155,38 @@ FAULTS = (
         "A fraction of the frames is damaged.",
         SENT,
         fields={"share": Share},
-        rows=[FaultRow("frames damaged", f"damaged|{SIGHT}|{PLACE}", {"share": part(0.005, 1.3)})],
+        rows=[
+            FaultRow(
+                "frames damaged",
+                f"damaged|{CAMERA_REASONS}|{PLACE_REASONS}",
+                {"share": fraction_between(0.005, 1.3)},
+            )
+        ],
     ),
     fault_kind(
         "other_version",
         "Frames use another protocol version than the one that the server reports.",
         SENT,
         fields={"version": VersionText},
-        rows=[FaultRow("other version", f"damaged|{SIGHT}", {"version": one_of("2.9", "3.0")})],
+        rows=[
+            FaultRow(
+                "other version", f"damaged|{CAMERA_REASONS}", {"version": one_of("2.9", "3.0")}
+            )
+        ],
     ),
     fault_kind(
         "outdated",
         "The exposure times stated in the frames are too early by this time [s].",
         EXPOSED,
         fields={"by": Positive},
-        rows=[FaultRow("frames of the past", LATE, {"by": between(0.05, 30)})],
+        rows=[FaultRow("frames of the past", LATE_REASONS, {"by": value_between(0.05, 30)})],
     ),
     fault_kind(
         "late_frames",
         "Frames arrive late by this time [s].",
         SENT,
         fields={"by": Positive},
-        rows=[FaultRow("frames late", LATE, {"by": between(0.003, 0.4)})],
+        rows=[FaultRow("frames late", LATE_REASONS, {"by": value_between(0.003, 0.4)})],
     ),
     fault_kind(
         "reordered",
@@ -181,20 +194,20 @@ FAULTS = (
         "others.",
         SENT,
         fields={"by": Positive},
-        rows=[FaultRow("frames reordered", LATE, {"by": between(0.002, 0.3)})],
+        rows=[FaultRow("frames reordered", LATE_REASONS, {"by": value_between(0.002, 0.3)})],
     ),
     fault_kind(
         "doubled_frames",
         "Each frame is sent twice.",
         SENT,
-        rows=[FaultRow("frames doubled", NOTHING, weight=0.5)],
+        rows=[FaultRow("frames doubled", NO_REASON, weight=0.5)],
     ),
     fault_kind(
         "slow_frames",
         "The server sends at most this number of frames per second.",
         SENT,
         fields={"rate": Positive},
-        rows=[FaultRow("frames slow", MOVED, {"rate": between(100, 1)})],
+        rows=[FaultRow("frames slow", MOVED_REASONS, {"rate": value_between(100, 1)})],
     ),
     fault_kind(
         "picture",
@@ -208,12 +221,12 @@ FAULTS = (
             "creeps": (bool, False),
         },
         rows=[
-            FaultRow("origin jumps", MOVED, {"by": off(3, 300)}),
-            FaultRow("scale jumps", MOVED, {"scale": factor(2e-3, 0.2)}),
-            FaultRow("axes jump", MOVED, {"turn": signed(2e-3, 1)}),
-            _creeping("origin creeps", by=off(2, 300, FRAME_S), creeps=True),
-            _creeping("scale creeps", scale=factor(2e-3, 0.2, FRAME_S), creeps=True),
-            _creeping("axes creep", turn=signed(0.02, 2, FRAME_S), creeps=True),
+            FaultRow("origin jumps", MOVED_REASONS, {"by": scaled_vector(3, 300)}),
+            FaultRow("scale jumps", MOVED_REASONS, {"scale": factor_near_one(2e-3, 0.2)}),
+            FaultRow("axes jump", MOVED_REASONS, {"turn": signed_value(2e-3, 1)}),
+            _creeping("origin creeps", by=scaled_vector(2, 300, FRAME_S), creeps=True),
+            _creeping("scale creeps", scale=factor_near_one(2e-3, 0.2, FRAME_S), creeps=True),
+            _creeping("axes creep", turn=signed_value(0.02, 2, FRAME_S), creeps=True),
         ],
     ),
     fault_kind(
@@ -221,7 +234,7 @@ FAULTS = (
         "A body is not tracked; the frames repeat its last pose.",
         EXPOSED,
         fields={"robot": Name},
-        rows=[FaultRow("untracked", SIGHT)],
+        rows=[FaultRow("untracked", CAMERA_REASONS)],
     ),
     fault_kind(
         "half_tracked",
@@ -230,11 +243,11 @@ FAULTS = (
         EXPOSED,
         fields={"robot": Name, "share": (Share, 0.0), "every": (Frames, 1)},
         rows=[
-            FaultRow("tracked in part", SIGHT, {"share": lost}),
+            FaultRow("tracked in part", CAMERA_REASONS, {"share": lost_fraction}),
             FaultRow(
                 "tracked at times",
-                SIGHT,
-                {"every": whole_number(24, 34), "for": between(6, 16)},
+                CAMERA_REASONS,
+                {"every": whole_number(24, 34), "for": value_between(6, 16)},
                 weight=2.0,
             ),
         ],
@@ -244,7 +257,7 @@ FAULTS = (
         "A body's pose jumps by this distance [mm].",
         EXPOSED,
         fields={"robot": Name, "by": Point},
-        rows=[FaultRow("pose jumps", MOVED, {"by": off(5, 500)})],
+        rows=[FaultRow("pose jumps", MOVED_REASONS, {"by": scaled_vector(5, 500)})],
     ),
     fault_kind(
         "ghost",
@@ -254,10 +267,10 @@ FAULTS = (
         EXPOSED,
         fields={"robot": Name, "by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
         rows=[
-            _creeping("ghost drives", by=along(20, 300, 0.0), axes="robot"),
-            _creeping("ghost slides", by=along(20, 300, math.pi / 2), axes="robot"),
-            _creeping("ghost drifts", by=off(20, 300, FRAME_S)),
-            _creeping("ghost turns", by=[0, 0], turn=signed(0.02, 4, FRAME_S)),
+            _creeping("ghost drives", by=along_line(20, 300, 0.0), axes="robot"),
+            _creeping("ghost slides", by=along_line(20, 300, math.pi / 2), axes="robot"),
+            _creeping("ghost drifts", by=scaled_vector(20, 300, FRAME_S)),
+            _creeping("ghost turns", by=[0, 0], turn=signed_value(0.02, 4, FRAME_S)),
         ],
     ),
     fault_kind(
@@ -266,35 +279,41 @@ FAULTS = (
         "[mm], and turns by this angle [rad].",
         EXPOSED,
         fields={"robot": Name, "by": Point, "turn": (Finite, 0.0)},
-        rows=[FaultRow("plate slips", MOVED, {"by": off(2, 60), "turn": signed(0.02, 1.5)})],
+        rows=[
+            FaultRow(
+                "plate slips",
+                MOVED_REASONS,
+                {"by": scaled_vector(2, 60), "turn": signed_value(0.02, 1.5)},
+            )
+        ],
     ),
     fault_kind(
         "lifted",
         "The camera sees a body at this height above the floor [mm].",
         EXPOSED,
         fields={"robot": Name, "height": Finite},
-        rows=[FaultRow("lifted", SIGHT, {"height": between(80, 2e3)})],
+        rows=[FaultRow("lifted", CAMERA_REASONS, {"height": value_between(80, 2e3)})],
     ),
     fault_kind(
         "tipped",
         "The camera sees a body rolled about its own x axis by this angle [rad].",
         EXPOSED,
         fields={"robot": Name, "angle": Finite},
-        rows=[FaultRow("tipped", SIGHT, {"angle": signed(0.05, 3.1)})],
+        rows=[FaultRow("tipped", CAMERA_REASONS, {"angle": signed_value(0.05, 3.1)})],
     ),
     fault_kind(
         "nan",
         "A body's position is not a number.",
         EXPOSED,
         fields={"robot": Name},
-        rows=[FaultRow("nan", SIGHT)],
+        rows=[FaultRow("nan", CAMERA_REASONS)],
     ),
     fault_kind(
         "bad_quaternion",
         "A body's quaternion does not have norm 1.",
         EXPOSED,
         fields={"robot": Name},
-        rows=[FaultRow("bad_quaternion", SIGHT)],
+        rows=[FaultRow("bad_quaternion", CAMERA_REASONS)],
     ),
     fault_kind(
         "repeat",
@@ -302,8 +321,8 @@ FAULTS = (
         EXPOSED,
         fields={"robot": (Name | None, None)},
         rows=[
-            FaultRow("pose frozen", MOVED, {"robot": first_robot}),
-            FaultRow("picture frozen", MOVED),
+            FaultRow("pose frozen", MOVED_REASONS, {"robot": first_robot}),
+            FaultRow("picture frozen", MOVED_REASONS),
         ],
     ),
     fault_kind(
@@ -311,7 +330,7 @@ FAULTS = (
         "Two bodies swap identities.",
         EXPOSED,
         fields={"robot": Name, "other": Name},
-        rows=[FaultRow("identities swapped", MOVED)],
+        rows=[FaultRow("identities swapped", MOVED_REASONS)],
     ),
     fault_kind(
         "twin_id",
@@ -324,13 +343,15 @@ FAULTS = (
         "clock_jump",
         "The server's clock is set forward by this time [s].",
         fields={"by": Finite},
-        rows=[FaultRow("camera's clock jumps", LATE, {"by": signed(5e-4, 5)})],
+        rows=[FaultRow("camera's clock jumps", LATE_REASONS, {"by": signed_value(5e-4, 5)})],
     ),
     fault_kind(
         "clock_rate",
         "The server's clock gains this time [s] every second.",
         fields={"rate": Positive},
-        rows=[FaultRow("camera's clock drifts", LATE, {"rate": factor(2e-4, 0.5)})],
+        rows=[
+            FaultRow("camera's clock drifts", LATE_REASONS, {"rate": factor_near_one(2e-4, 0.5)})
+        ],
         begin=_run_clock,
     ),
 )

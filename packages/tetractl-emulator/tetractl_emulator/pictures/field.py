@@ -21,14 +21,14 @@ from tetractl.model.swimmers import walls_of
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.fault_rows import (
-    DRIVER,
-    NOTHING,
-    SEEN,
+    DRIVER_REASONS,
+    NO_REASON,
+    SEEN_REASONS,
     FaultRow,
-    between,
-    less,
+    one_minus,
     one_of,
-    signed,
+    signed_value,
+    value_between,
     whole_number,
 )
 from tetractl_emulator.faults import (
@@ -45,7 +45,7 @@ from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevices, PseudoPort, SerialDevice
 from tetractl_emulator.sides import Stage
 
-COOL_DC = 250
+USUAL_TEMPERATURE_DC = 250
 """The coils' temperature without a fault [tenths of a degree Celsius]."""
 
 
@@ -85,7 +85,7 @@ class CurrentDriver(SerialDevice):
         self.powered = True
         self._due_ns = 0
         self._limits = limits
-        self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
+        self._decay = math.exp(-MILLISECOND / SECOND / lag_s)
         self._now_ns = timeline.now_ns
         self._core = DriverCore(limits, self._now_ms)
 
@@ -161,16 +161,18 @@ class CurrentDriver(SerialDevice):
 
         If the driver is switched off, the currents decay to 0.
         """
-        wished = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
+        set_points = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
         x, y = (
-            wish / 1e6 + self._keep * (before - wish / 1e6)
-            for wish, before in zip(wished, self.currents, strict=True)
+            set_point / 1e6 + self._decay * (current - set_point / 1e6)
+            for set_point, current in zip(set_points, self.currents, strict=True)
         )
         self.currents = x, y
-        low = self.acting.newest("low_supply")
-        hot = self.acting.newest("hot")
-        supply_mv = self.supply_mv if low is None else low.millivolts
-        temperature_dc = COOL_DC if hot is None else round(10 * hot.celsius)
+        supply_fault = self.acting.newest("low_supply")
+        heat_fault = self.acting.newest("hot")
+        supply_mv = self.supply_mv if supply_fault is None else supply_fault.millivolts
+        temperature_dc = (
+            USUAL_TEMPERATURE_DC if heat_fault is None else round(10 * heat_fault.celsius)
+        )
         self._core.measured(round(1000 * x), round(1000 * y), supply_mv, temperature_dc)
 
     @property
@@ -195,7 +197,7 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-def _row(fault: Any, device: Any) -> int:
+def _cell_index(fault: Any, device: Any) -> int:
     """Return the index of the cell that a fault names.
 
     Raises:
@@ -210,32 +212,34 @@ def _row(fault: Any, device: Any) -> int:
     return names.index(fault.cell)
 
 
-def _dives(fault: Any, device: Any) -> None:
+def _begin_dive(fault: Any, device: Any) -> None:
     """Begin the fault `dives`: move a cell by `by_um` [um] out of the focal plane.
 
     Nothing undoes it when the fault ends, because the cell returns by itself within seconds.
     """
-    device.dish.cells.depth[_row(fault, device)] += fault.by_um
+    device.dish.cells.depth[_cell_index(fault, device)] += fault.by_um
 
 
-def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
+def _resting_switch(fault: Any, device: Any) -> Callable[[bool], None]:
     """Return the switch with which the cell of a fault `rests` stops or resumes swimming.
 
     It stops with True, and resumes with False.
     """
-    row = _row(fault, device)
+    row = _cell_index(fault, device)
     return lambda resting: device.dish.cells.set_resting(row, resting)
 
 
-FIELD = f"{DRIVER}|{SEEN}"  # cells that are not steered swim where they want
+FIELD_REASONS = (
+    f"{DRIVER_REASONS}|{SEEN_REASONS}"  # cells that are not steered swim where they want
+)
 FAULTS = (
-    *port_faults("driver", DRIVER, DRIVER),
+    *port_faults("driver", DRIVER_REASONS, DRIVER_REASONS),
     fault_kind(
         "off",
         "The current driver is switched off.",
         rows=[
-            FaultRow("driver off", FIELD),
-            FaultRow("driver resets", FIELD, {"for": between(0.01, 1)}),
+            FaultRow("driver off", FIELD_REASONS),
+            FaultRow("driver resets", FIELD_REASONS, {"for": value_between(0.01, 1)}),
         ],
         begin=switching(lambda f, d: d.driver.switch, False),
     ),
@@ -243,70 +247,74 @@ FAULTS = (
         "low_supply",
         "The supply of the current driver has this voltage [mV].",
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
-        rows=[FaultRow("supply low", FIELD, {"millivolts": whole_number(12_000, 5_000)})],
+        rows=[FaultRow("supply low", FIELD_REASONS, {"millivolts": whole_number(12_000, 5_000)})],
     ),
     fault_kind(
         "hot",
         "The coils have this temperature [degrees Celsius].",
         fields={"celsius": Annotated[float, Field(ge=0, le=200)]},
-        rows=[FaultRow("coils hot", f"°C|{FIELD}", {"celsius": between(30, 150)})],
+        rows=[FaultRow("coils hot", f"°C|{FIELD_REASONS}", {"celsius": value_between(30, 150)})],
     ),
     fault_kind(
         "divides",
         "A cell divides into two.",
         fields={"cell": Name},
-        rows=[FaultRow("cell divides", SEEN, at_once=True)],
-        begin=lambda f, d: d.dish.divide(_row(f, d)),
+        rows=[FaultRow("cell divides", SEEN_REASONS, at_once=True)],
+        begin=lambda f, d: d.dish.divide(_cell_index(f, d)),
     ),
     fault_kind(
         "rests",
         "A cell stops swimming.",
         fields={"cell": Name},
-        rows=[FaultRow("cell rests", SEEN)],
-        begin=switching(_rests),
+        rows=[FaultRow("cell rests", SEEN_REASONS)],
+        begin=switching(_resting_switch),
     ),
     fault_kind(
         "dives",
         "A cell leaves the focal plane by this height [um], and returns within seconds.",
         fields={"cell": Name, "by_um": (Finite, 300.0)},
-        rows=[FaultRow("cell dives", SEEN, {"by_um": signed(20, 600)}, at_once=True)],
-        begin=_dives,
+        rows=[FaultRow("cell dives", SEEN_REASONS, {"by_um": signed_value(20, 600)}, at_once=True)],
+        begin=_begin_dive,
     ),
     fault_kind(
         "late_driver",
         "The current driver receives everything late by this time [s].",
         fields={"by": Positive},
-        rows=[FaultRow("driver late", FIELD, {"by": between(0.005, 1)})],
+        rows=[FaultRow("driver late", FIELD_REASONS, {"by": value_between(0.005, 1)})],
     ),
     fault_kind(
         "doubled_commands",
         "The current driver receives each command twice.",
-        rows=[FaultRow("commands doubled", NOTHING, weight=0.5)],
+        rows=[FaultRow("commands doubled", NO_REASON, weight=0.5)],
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the wire to and from the current driver is changed.",
         fields={"share": Share},
-        rows=[FaultRow("bad bytes", FIELD, {"share": between(2e-4, 0.5)})],
+        rows=[FaultRow("bad bytes", FIELD_REASONS, {"share": value_between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_coils",
         "A coil pair makes this fraction of its field. A negative fraction reverses the field.",
         fields={"axis": Literal["x", "y"], "share": Annotated[float, Field(ge=-1, le=1)]},
         rows=[
-            FaultRow("coils weak", SEEN, {"axis": one_of("x", "y"), "share": less(0.02, 2, -1.0)})
+            FaultRow(
+                "coils weak",
+                SEEN_REASONS,
+                {"axis": one_of("x", "y"), "share": one_minus(0.02, 2, -1.0)},
+            )
         ],
     ),
     fault_kind(
         "turned_coils",
         "The coils are turned by this angle [rad].",
         fields={"by": Finite},
-        rows=[FaultRow("coils turned", SEEN, {"by": signed(0.02, 3.1)})],
+        rows=[FaultRow("coils turned", SEEN_REASONS, {"by": signed_value(0.02, 3.1)})],
     ),
     fault_kind(
         "mute",
         "The current driver receives commands but does not reply.",
-        rows=[FaultRow("driver silent", DRIVER)],
+        rows=[FaultRow("driver silent", DRIVER_REASONS)],
     ),
 )
 
@@ -331,22 +339,22 @@ class EmulatedField(PluggedDevices):
         self.driver = CurrentDriver(
             stage.timeline,
             stage.wires.port(stage.options.link or section.port),
-            _limits(section),
+            _driver_limits(section),
             section.baud,
             note=stage.note,
             supply_mv=settings.supply_mv,
             acting=stage.acting,
         )
         seed = stage.options.seed
-        walk = settings.heading_noise
+        heading_walk = settings.heading_noise
         names = setup.names
         walls = None
         if stage.options.chosen:
             walls = walls_of(setup)
-            drawn = seed if stage.options.dish is None else stage.options.dish
-            cells, names = culture(settings.cells, settings.strangers, walk, drawn)
+            dish_seed = seed if stage.options.dish is None else stage.options.dish
+            cells, names = culture(settings.cells, settings.strangers, heading_walk, dish_seed)
         else:
-            cells = cells_of(setup, walk, seed)
+            cells = cells_of(setup, heading_walk, seed)
         field = CoilField(section.coils, section.reference_mt(setup), stage.acting)
         self.dish = Dish(self.driver, field, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
@@ -354,9 +362,9 @@ class EmulatedField(PluggedDevices):
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
         """Sample the cells of a randomised test run; see `tetractl_emulator.sides`."""
-        walk = round(random.uniform(0.02, 0.1), 4)
+        heading_walk = round(random.uniform(0.02, 0.1), 4)
         return {
-            "heading_noise": walk,
+            "heading_noise": heading_walk,
             "cells": len(cls.choosable),
             "strangers": random.randint(0, 3),
         }
@@ -377,17 +385,19 @@ class EmulatedField(PluggedDevices):
         return self.driver.running
 
     @property
-    def truth(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """The true field and currents, for the record.
 
         The keys are "field_mt" [mT] and "currents_a" [A], each for x and y, and "born", with x, y
         [mm] and heading [rad] of each cell that was born since the start.
         """
-        parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
-        truth = {name: _rounded(values) for name, values in parts.items()}
+        quantities = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
+        record = {name: _round_values(values) for name, values in quantities.items()}
         born = range(len(self._bodies), len(self.dish.cells))
         daughters = [CellBody("", self.dish, row) for row in born]
-        return truth | {"born": [[d.x, d.y, d.heading] for d in daughters]}
+        return record | {
+            "born": [[daughter.x, daughter.y, daughter.heading] for daughter in daughters]
+        }
 
     def switch(self, on: bool) -> None:
         """Switch the power of the coil driver on or off."""
@@ -401,12 +411,12 @@ class EmulatedField(PluggedDevices):
         """Do nothing, because the driver replies at once."""
 
 
-def _rounded(values: Sequence[float]) -> list[float]:
+def _round_values(values: Sequence[float]) -> list[float]:
     """Round values to 5 decimals."""
     return [round(value, 5) for value in values]
 
 
-def _limits(section: FieldSection) -> DriverLimits:
+def _driver_limits(section: FieldSection) -> DriverLimits:
     """Return the limits built into the driver, which are those of the spec."""
     milliamperes = round(1000 * section.current_max_a)
     slew = round(1000 * section.slew_max_a_s)

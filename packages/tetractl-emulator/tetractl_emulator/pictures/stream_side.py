@@ -22,12 +22,12 @@ from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
 from tetractl.spec.base import Model, NonNegative, Positive
 from tetractl_emulator.fault_rows import (
-    NOTHING,
-    SEEN,
+    NO_REASON,
+    SEEN_REASONS,
     FaultRow,
-    between,
+    fraction_between,
     one_of,
-    part,
+    value_between,
     whole_number,
 )
 from tetractl_emulator.faults import Fault, Share, Visible, fault_kind
@@ -65,26 +65,26 @@ STREAM_FAULTS = (
         "no_frames",
         "The camera takes no images.",
         Visible.SENT,
-        rows=[FaultRow("no pictures", SEEN)],
+        rows=[FaultRow("no pictures", SEEN_REASONS)],
     ),
     fault_kind(
         "repeat",
         "The camera sends the same image repeatedly, at its usual rate.",
         Visible.SENT,
-        rows=[FaultRow("picture frozen", SEEN)],
+        rows=[FaultRow("picture frozen", SEEN_REASONS)],
     ),
     fault_kind(
         "half_rate",
         "The camera sends only every second image, or every n-th.",
         Visible.SENT,
         fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
-        rows=[FaultRow("pictures slow", SEEN, {"every": whole_number(2, 60)})],
+        rows=[FaultRow("pictures slow", SEEN_REASONS, {"every": whole_number(2, 60)})],
     ),
     fault_kind(
         "late_pictures",
         "Images arrive late by this time [s].",
         fields={"by": Positive},
-        rows=[FaultRow("pictures late", SEEN, {"by": between(0.01, 1)})],
+        rows=[FaultRow("pictures late", SEEN_REASONS, {"by": value_between(0.01, 1)})],
     ),
     fault_kind(
         "bad_pictures",
@@ -96,17 +96,22 @@ STREAM_FAULTS = (
             "how": (Literal["cut", "cut_ended", "oversized", "lost", "doubled"], "cut"),
         },
         rows=[
-            FaultRow("pictures lost", SEEN, {"share": part(0.02, 1.3), "how": "lost"}),
+            FaultRow(
+                "pictures lost", SEEN_REASONS, {"share": fraction_between(0.02, 1.3), "how": "lost"}
+            ),
             FaultRow(
                 "pictures doubled",
-                NOTHING,
-                {"share": part(0.02, 1.3), "how": "doubled"},
+                NO_REASON,
+                {"share": fraction_between(0.02, 1.3), "how": "doubled"},
                 weight=0.5,
             ),
             FaultRow(
                 "pictures damaged",
-                SEEN,
-                {"share": part(0.02, 1.3), "how": one_of("cut", "cut_ended", "oversized")},
+                SEEN_REASONS,
+                {
+                    "share": fraction_between(0.02, 1.3),
+                    "how": one_of("cut", "cut_ended", "oversized"),
+                },
             ),
         ],
     ),
@@ -137,9 +142,9 @@ class SceneHistory:
             return scenes[0][1]
         before_ns, before = scenes[i - 1]
         after_ns, after = scenes[i]
-        part = min(max((when_ns - before_ns) / (after_ns - before_ns), 0.0), 1.0)
+        fraction_between = min(max((when_ns - before_ns) / (after_ns - before_ns), 0.0), 1.0)
         # a cell may have divided between the two scenes
-        return before + part * (after[..., : before.shape[-1]] - before)
+        return before + fraction_between * (after[..., : before.shape[-1]] - before)
 
 
 class ShownBodies:

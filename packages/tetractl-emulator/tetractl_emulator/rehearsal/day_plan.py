@@ -12,36 +12,36 @@ import numpy as np
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Setup
 from tetractl.spec.lab_section import LabSection
-from tetractl_emulator.fault_rows import STRONG, Draw, FaultRow, scale_of
+from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, Draw, FaultRow, scale_of
 from tetractl_emulator.script import Sides
 
-START_SHARE = 0.16
+START_FRACTION = 0.16
 """Maximum distance of a robot from its start, as a fraction of the limit `start_mm`."""
 SPAN_S = 11.0
 """Maximum time from the first command that moves robots to the begin of a fault [s]."""
 CHOICE_S = 5.0
 """Time that is added to SPAN_S if trials choose their cells first [s]."""
-BLIND_SHARE = 0.1
+BLIND_FRACTION = 0.1
 """Fraction of the test runs in which robots on wheels drive without feedback.
 
 They drive until a limit of the guard stops them.
 """
 BLIND_S = 15
 """Duration of driving without feedback, in which each robot reaches an edge of the arena [s]."""
-FACING_SHARE = 0.5
+FACING_FRACTION = 0.5
 """Fraction of the runs without feedback in which two robots start face to face."""
-FACING = (2.0, 3.0)
+FACING_DISTANCES = (2.0, 3.0)
 """Range of the distance of these two robots, as a multiple of the limit `separation_mm`.
 
-They meet while one of them turns round.
+The two robots meet while one of them turns around.
 """
-SHORT_SHARE = 0.15
+SHORT_FRACTION = 0.15
 """Fraction of the test runs whose trial ends while robots drive.
 
 The time limit of such a trial is in the range SHORT_S [s].
 """
 SHORT_S = (2.0, 8.0)
-OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
+NOT_IN_SCRIPT = ("kind", "right")  # keys of a sampled fault that a script must not contain
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +74,14 @@ class DayPlan:
 
         Its faults are in the order of their times.
         """
-        drawn = self.faults_in_order
-        faults = [{key: value for key, value in fault.items() if key not in OWN} for fault in drawn]
-        about = ", ".join(dict.fromkeys(fault["kind"] for fault in drawn)) or "no fault"
+        sampled = self.faults_in_order
+        faults = [
+            {key: value for key, value in fault.items() if key not in NOT_IN_SCRIPT}
+            for fault in sampled
+        ]
+        summary = ", ".join(dict.fromkeys(fault["kind"] for fault in sampled)) or "no fault"
         runner = {"runner": {"set": [*self.settings]}} if self.settings else {}
-        return {"about": about, "emulation": dict(self.emulation), "faults": faults, **runner}
+        return {"about": summary, "emulation": dict(self.emulation), "faults": faults, **runner}
 
 
 def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
@@ -86,13 +89,18 @@ def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
 
     Faults that concern a second robot are left out for a single robot.
     """
-    sides = Sides.of_types(lab.camera.type, lab.actuator.type)
-    rows = [row for kind in sides.faults.values() for row in kind.rows]
+    devices = Sides.of_types(lab.camera.type, lab.actuator.type)
+    rows = [row for kind in devices.faults.values() for row in kind.rows]
     return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
 
 
 def plan_of_day(
-    seed: int, day: int, lab: LabSection, setup: Setup, chosen: bool = False, bad: bool = True
+    seed: int,
+    day: int,
+    lab: LabSection,
+    setup: Setup,
+    chosen: bool = False,
+    with_faults: bool = True,
 ) -> DayPlan:
     """Sample the plan of a randomised test run.
 
@@ -104,29 +112,29 @@ def plan_of_day(
         lab: The lab's section of the spec.
         setup: The constants of the experiment.
         chosen: Whether trials choose their robots among the cells in a dish.
-        bad: Whether to include faults.
+        with_faults: Whether to include faults.
     """
     # the order of the draws is part of the result: another one would change all days
     random = Random(f"{seed}-{day}")
-    sides = Sides.of_types(lab.camera.type, lab.actuator.type)
+    devices = Sides.of_types(lab.camera.type, lab.actuator.type)
     faults: list[dict[str, Any]] = []
-    if bad:
-        names = sides.actuator.choosable if chosen else setup.names
+    if with_faults:
+        names = devices.actuator.choosable if chosen else setup.names
         span_s = SPAN_S + CHOICE_S if chosen else SPAN_S
         scale = scale_of(lab, setup)
         faults = faults_of_day(random, names, rows_of(lab, setup), span_s, scale)
     emulation: dict[str, Any] = {}
-    for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
-        if hasattr(side, "world_of_day"):
-            emulation[name] = side.world_of_day(random, lab, setup)
+    for name, device in (("camera", devices.camera), ("actuator", devices.actuator)):
+        if hasattr(device, "world_of_day"):
+            emulation[name] = device.world_of_day(random, lab, setup)
     trial_seed = random.randrange(2**31)
     starts = setup.starts
     settings: list[str] = []
-    if bad and lab.actuator.type != "field":
+    if with_faults and lab.actuator.type != "field":
         settings, starts = _settings_of_day(random, lab, setup)
     if not chosen:
-        near = START_SHARE * lab.limits.start_mm / 1000 / setup.metres
-        emulation["robots"] = _placed(random, setup.names, starts, near)
+        offset_max = START_FRACTION * lab.limits.start_mm / 1000 / setup.metres
+        emulation["robots"] = _sample_starts(random, setup.names, starts, offset_max)
     return DayPlan(trial_seed, emulation, faults, settings)
 
 
@@ -136,23 +144,23 @@ def _settings_of_day(random: Random, lab: LabSection, setup: Setup) -> tuple[lis
     Returns:
         Settings that replace values of the spec, and the poses at which the robots start.
     """
-    drawn = random.random()
-    if drawn < SHORT_SHARE:
+    chance = random.random()
+    if chance < SHORT_FRACTION:
         return [f"controller.time_limit={random.uniform(*SHORT_S):.1f}"], setup.starts
-    if drawn <= 1 - BLIND_SHARE:
+    if chance <= 1 - BLIND_FRACTION:
         return [], setup.starts
     starts = setup.starts
     separation = lab.limits.separation_mm / 1000 / setup.metres
     first_rad = random.uniform(-math.pi, math.pi)
-    if random.random() < FACING_SHARE:
+    if random.random() < FACING_FRACTION:
         starts, first_rad = _face_to_face(random, setup, separation)
-    settings = [_blind(random, setup.period_s, first_rad)]
+    settings = [_open_loop_setting(random, setup.period_s, first_rad)]
     for i, (x, y, heading) in enumerate(starts.array().tolist()):
         settings += [f"robots.{i}.start={[x, y]}", f"robots.{i}.heading={heading}"]
     return settings, starts
 
 
-def _blind(random: Random, period_s: float, first_rad: float) -> str:
+def _open_loop_setting(random: Random, period_s: float, first_rad: float) -> str:
     """Generate the setting of an open-loop controller that holds each direction for about a second.
 
     Args:
@@ -160,9 +168,11 @@ def _blind(random: Random, period_s: float, first_rad: float) -> str:
         period_s: Control period [s].
         first_rad: The first direction [rad]. The others are random.
     """
-    held = round(1 / period_s)
-    drawn_rad = [first_rad, *(random.uniform(-math.pi, math.pi) for _ in range(BLIND_S - 1))]
-    directions = [round(direction, 2) for direction in drawn_rad for _ in range(held)]
+    periods_per_direction = round(1 / period_s)
+    sampled_rad = [first_rad, *(random.uniform(-math.pi, math.pi) for _ in range(BLIND_S - 1))]
+    directions = [
+        round(direction, 2) for direction in sampled_rad for _ in range(periods_per_direction)
+    ]
     return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
 
 
@@ -183,14 +193,14 @@ def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Pose
     middle_y = setup.arena.bottom + setup.arena.height / 2
     for first, second in random.sample(pairs, len(pairs)):
         x, y, _ = starts[first]
-        ahead_rad = math.atan2(middle_y - y, middle_x - x)
-        apart = random.uniform(*FACING) * separation
-        other_x = x + apart * math.cos(ahead_rad)
-        other_y = y + apart * math.sin(ahead_rad)
-        if all(shape.distance(other_x, other_y) > setup.body_radius for shape in setup.obstacles):
-            starts[first, 2] = ahead_rad
-            starts[second] = (other_x, other_y, ahead_rad - math.pi)
-            return Poses.from_array(np.round(starts, 4)), ahead_rad
+        facing_rad = math.atan2(middle_y - y, middle_x - x)
+        distance = random.uniform(*FACING_DISTANCES) * separation
+        second_x = x + distance * math.cos(facing_rad)
+        second_y = y + distance * math.sin(facing_rad)
+        if all(shape.distance(second_x, second_y) > setup.body_radius for shape in setup.obstacles):
+            starts[first, 2] = facing_rad
+            starts[second] = (second_x, second_y, facing_rad - math.pi)
+            return Poses.from_array(np.round(starts, 4)), facing_rad
     return setup.starts, 0.0
 
 
@@ -215,11 +225,11 @@ def faults_of_day(
         scale: Factor for lengths; see `scale_of`.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
-    chosen = random.choices(rows, [row.weight for row in rows], k=count)
-    return [_fault(row, random, names, span_s, scale) for row in chosen]
+    sampled_rows = random.choices(rows, [row.weight for row in rows], k=count)
+    return [_sample_fault(row, random, names, span_s, scale) for row in sampled_rows]
 
 
-def _fault(
+def _sample_fault(
     row: FaultRow, random: Random, names: Sequence[str], span_s: float, scale: float
 ) -> dict[str, Any]:
     """Sample one fault of a variant: its fields, when it begins, and how long it lasts.
@@ -229,35 +239,39 @@ def _fault(
     """
     draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
     fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
-    for key, value in row.fields.items():
-        fault[key] = value(draw) if callable(value) else value
-    when = random.random()
-    if when < row.start:
+    for key, field_value in row.fields.items():
+        fault[key] = field_value(draw) if callable(field_value) else field_value
+    chance = random.random()
+    if chance < row.start:
         fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
-    elif when > 1 - row.stop:
+    elif chance > 1 - row.stop:
         fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
     else:
         fault["at"] = round(random.uniform(0, span_s), 3)
-    if not row.at_once and "for" not in fault and draw.strength < STRONG:
+    if not row.at_once and "for" not in fault and draw.strength < ENDLESS_STRENGTH:
         fault["for"] = round(0.02 * 800 ** random.random(), 3)  # from 20 ms to 16 s
     return fault
 
 
-def _placed(
-    random: Random, names: Sequence[str], starts: Poses, near: float
+def _sample_starts(
+    random: Random, names: Sequence[str], starts: Poses, offset_max: float
 ) -> list[dict[str, Any]]:
-    """Sample true starts of the robots, within `near` [length unit] of their starts in the spec.
+    """Sample true starts of the robots near their starts in the spec.
 
-    Headings differ by up to 0.05 rad.
+    Positions differ by at most `offset_max` [length unit], and headings by at most 0.05 rad.
     """
-    placed = []
+    placements = []
     for name, (x, y, heading) in zip(names, starts.array().tolist(), strict=True):
-        off = random.uniform(0, near)
+        offset = random.uniform(0, offset_max)
         angle = random.uniform(-math.pi, math.pi)
-        placed_x = x + off * math.cos(angle)
-        placed_y = y + off * math.sin(angle)
-        turned = round(heading + random.uniform(-0.05, 0.05), 4)
-        placed.append(
-            {"name": name, "start": [round(placed_x, 2), round(placed_y, 2)], "heading": turned}
+        start_x = x + offset * math.cos(angle)
+        start_y = y + offset * math.sin(angle)
+        heading_start = round(heading + random.uniform(-0.05, 0.05), 4)
+        placements.append(
+            {
+                "name": name,
+                "start": [round(start_x, 2), round(start_y, 2)],
+                "heading": heading_start,
+            }
         )
-    return placed
+    return placements

@@ -1,16 +1,18 @@
 """The seven invariants that every randomised test run (a *day*) of an emulated lab must fulfil.
 
-An emulated lab records what truly happened. An observer compares this record with the invariants.
-The observer shares no code with the guard. Each invariant is a function, and its docstring says
-everything that is checked:
+An emulated lab records what truly happened. An observer, which shares no code with the guard,
+compares this record with the invariants. Each invariant is a function, and its docstring lists
+everything that it checks:
 
-| invariant | function | main bound | |---|---|---| | no robot is driven blind | `driven_blind` |
-limits of the spec, and `reaction` | | robots rest after a stop | `rests_after_a_stop` |
-`TRANSIT_S`, the watchdog, `ROLL_S` | | robots stay inside the arena, apart | `stays_inside` | wrong
-poses, pushes, the way to stand | | poses and the result are true | `poses_are_true` | `POSE_MM`,
-`POSE_RAD`; `RESULT_MM` | | the log is readable and complete | `log_is_readable` | in
-`outcome_invariants` | | the exit code is right | `exit_code_is_right` | in `outcome_invariants` | |
-the reason names a fault that occurred | `reason_names_a_fault` | in `outcome_invariants` |
+| invariant                        | function               | main bound                      |
+| -------------------------------- | ---------------------- | ------------------------------- |
+| no robot is driven blind         | `driven_blind`         | limits of the spec, `reaction`  |
+| robots rest after a stop         | `rests_after_a_stop`   | `TRANSIT_S`, watchdog, `ROLL_S` |
+| robots stay inside and apart     | `stays_inside`         | pose errors, pushes, coasting   |
+| poses and the result are true    | `poses_are_true`       | `POSE_MM` etc.; `RESULT_MM`     |
+| the log is readable and complete | `log_is_readable`      | see `outcome_invariants`        |
+| the exit code is right           | `exit_code_is_right`   | see `outcome_invariants`        |
+| the reason names a true fault    | `reason_names_a_fault` | see `outcome_invariants`        |
 
 The checks are coarse on purpose. Unless a docstring says otherwise, a fault widens or removes a
 bound for all robots and for the whole day, even before the fault begins. The checks may therefore
@@ -104,16 +106,16 @@ BODY_MM = 60.0
 """Height of a body on an emulated robot above the floor [mm]."""
 LIFTED_MM = 40.0
 """Maximum height by which a robot may be lifted once it drives [mm]."""
-STARTS_AGAIN = ("off", "reboots")
+RESTARTING_FAULTS = ("off", "reboots")
 """Names of the faults after which a robot has forgotten all commands."""
-ELSEWHERE = ("driven_elsewhere",)
+DRIVEN_BY_OTHERS = ("driven_elsewhere",)
 """Names of the faults by which another program drives the robots."""
-OFF_FLOOR = ("lifted", "tipped")
+LIFTING_FAULTS = ("lifted", "tipped")
 """Names of the faults that lift a body off the floor.
 
 A camera may track it, but shows no robot.
 """
-STOPS_FAIL = (
+STOP_LOSING_FAULTS = (
     *("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes"),
     *("signal", "stopped", "off", "busy", "reboots"),
 )
@@ -170,7 +172,7 @@ def _first_blind_command(truth: Truth) -> Violation | None:
     late_steps_s = (limits.late_steps + 1) * truth.setup.period_s
     undirected_max_s = max(limits.stream_lost, late_steps_s) + limits.reaction
     mute = truth.met(*MUTE) or truth.killed
-    off_floor = [fault for fault in hiding(truth) if fault.name in OFF_FLOOR]
+    off_floor = [fault for fault in hiding_faults(truth) if fault.name in LIFTING_FAULTS]
     for k, command in enumerate(truth.commands):
         driven = np.array(truth.drives(command), bool)
         if not driven.any():
@@ -259,11 +261,12 @@ def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     yield from _none_runs_again(truth)
     if not truth.met(*MUTE) and not truth.killed:
         yield from _stops_are_sent(truth)
-        yield from _stops_go_on(truth)
+        yield from _stops_are_repeated(truth)
     yield from _run_begins_at_rest(truth)
 
 
-def _unrest(at_s: float, finding: str) -> Violation:
+def _not_at_rest(at_s: float, finding: str) -> Violation:
+    """Report a violation of the second invariant at a time [s]."""
     return Violation("not at rest", at_s, finding)
 
 
@@ -279,14 +282,14 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
     Test runs in which another program drove the robots are not checked, because it may start at any
     time.
     """
-    if truth.met(*ELSEWHERE):
+    if truth.met(*DRIVEN_BY_OTHERS):
         return
     bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
     must_rest = truth.times_s > truth.left_s + bound_s
     rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
     if rolls.any():
         row, i = np.argwhere(rolls)[0]
-        yield _unrest(float(truth.times_s[row]), f"{truth.setup.names[i]} moves")
+        yield _not_at_rest(float(truth.times_s[row]), f"{truth.setup.names[i]} moves")
 
 
 def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
@@ -304,17 +307,19 @@ def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
     hidden = truth.creeping or truth.met("repeat", "freeze", "swap", *MUTE)
     if truth.killed or hidden or not len(truth.times_s):
         return
-    turns = truth.wheel_speed_mm_s > ROLLS_MM_S
-    last = (truth.times_s > truth.alive_s - LEFT_SEEN_S) & (truth.times_s < truth.alive_s)
-    is_shown: Bools = np.all(truth.unseen_s[last] < SHOWN_S, axis=0)
-    drives_on: Bools = turns[-1] & np.all(turns[last], axis=0)
-    could_be_held = not truth.met(*STOPS_FAIL, "late_radio", "overtaken_packets")
+    is_turning = truth.wheel_speed_mm_s > ROLLS_MM_S
+    is_last_moment = (truth.times_s > truth.alive_s - LEFT_SEEN_S) & (truth.times_s < truth.alive_s)
+    is_shown: Bools = np.all(truth.unseen_s[is_last_moment] < SHOWN_S, axis=0)
+    drives_on: Bools = is_turning[-1] & np.all(is_turning[is_last_moment], axis=0)
+    could_be_held = not truth.met(*STOP_LOSING_FAULTS, "late_radio", "overtaken_packets")
     for i in np.flatnonzero(drives_on & (is_shown | (truth.began_s < np.inf))).tolist():
         name = truth.setup.names[i]
         if name not in truth.named_at_the_end:
-            yield _unrest(truth.alive_s, f"{name} is left driving, and the report does not name it")
+            yield _not_at_rest(
+                truth.alive_s, f"{name} is left driving, and the report does not name it"
+            )
         elif is_shown[i] and could_be_held:
-            yield _unrest(truth.alive_s, f"{name} is left driving")
+            yield _not_at_rest(truth.alive_s, f"{name} is left driving")
 
 
 def _no_command_drives(truth: Truth) -> Iterator[Violation]:
@@ -324,7 +329,7 @@ def _no_command_drives(truth: Truth) -> Iterator[Violation]:
     """
     for command, acts_s in zip(truth.commands, truth.acting_s.tolist(), strict=True):
         if time_s(command) > truth.ended_s and acts_s > TRANSIT_S and any(truth.drives(command)):
-            yield _unrest(time_s(command), "a command drives")
+            yield _not_at_rest(time_s(command), "a command drives")
             return
 
 
@@ -340,12 +345,12 @@ def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
     is_in_run = truth.first_s("run") < pressed_s < truth.alive_s - TRANSIT_S
     if not is_in_run or truth.met(*MUTE):
         return
-    stopping_s = [time_s(c) for c in truth.commands if c["flags"] & EMERGENCY]
-    others_s = [time_s(c) for c in truth.commands if not c["flags"] & EMERGENCY]
+    stopping_s = [time_s(command) for command in truth.commands if command["flags"] & EMERGENCY]
+    others_s = [time_s(command) for command in truth.commands if not command["flags"] & EMERGENCY]
     if not any(pressed_s - TRANSIT_S < at_s < pressed_s + TRANSIT_S for at_s in stopping_s):
-        yield _unrest(pressed_s, "no emergency stop is sent")
+        yield _not_at_rest(pressed_s, "no emergency stop is sent")
     if any(at_s > pressed_s + TRANSIT_S for at_s in others_s):
-        yield _unrest(pressed_s, "a command releases the emergency stop")
+        yield _not_at_rest(pressed_s, "a command releases the emergency stop")
 
 
 def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
@@ -355,9 +360,11 @@ def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
     """
     latched = truth.has_status(LATCHED)
     freed = (latched[:-1] & ~latched[1:]).any(axis=1)
-    if freed.any() and not truth.met(*STARTS_AGAIN):
+    if freed.any() and not truth.met(*RESTARTING_FAULTS):
         freed_row = 1 + freed.argmax()
-        yield _unrest(float(truth.times_s[freed_row]), "the emergency stop of a robot is released")
+        yield _not_at_rest(
+            float(truth.times_s[freed_row]), "the emergency stop of a robot is released"
+        )
 
 
 def _none_runs_again(truth: Truth) -> Iterator[Violation]:
@@ -378,12 +385,12 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     if not numbered or overtaken_s > FORGET_S:
         heard_s += overtaken_s
     is_after = (truth.times_s > heard_s)[:, None]
-    runs = truth.has_status(RUNNING)
-    stands = is_after & ~runs & ~truth.has_status(SILENT)
-    has_stood = np.maximum.accumulate(stands, axis=0)
-    runs_again = (has_stood & runs).any(axis=1)
-    if runs_again.any() and not truth.met(*ELSEWHERE):
-        yield _unrest(
+    is_running = truth.has_status(RUNNING)
+    is_stationary = is_after & ~is_running & ~truth.has_status(SILENT)
+    has_stood = np.maximum.accumulate(is_stationary, axis=0)
+    runs_again = (has_stood & is_running).any(axis=1)
+    if runs_again.any() and not truth.met(*DRIVEN_BY_OTHERS):
+        yield _not_at_rest(
             float(truth.times_s[runs_again.argmax()]), "a robot is driven again after its stop"
         )
 
@@ -399,11 +406,11 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
         until_s = span.ended_s + truth.watchdog_s
         sent = [at_s for at_s in truth.halts_s if span.ended_s - TRANSIT_S < at_s < until_s]
         if len(sent) < STOPS_MIN and until_s < truth.alive_s:
-            yield _unrest(span.ended_s, f"only {len(sent)} stops were sent")
+            yield _not_at_rest(span.ended_s, f"only {len(sent)} stops were sent")
             return
 
 
-def _stops_go_on(truth: Truth) -> Iterator[Violation]:
+def _stops_are_repeated(truth: Truth) -> Iterator[Violation]:
     """Check that stops continue after the end until the camera shows that all robots stand still.
 
     The check covers the first `WATCHED_S` after the end. If a robot has not been seen standing
@@ -431,7 +438,7 @@ def _stops_go_on(truth: Truth) -> Iterator[Violation]:
             f"no stop was sent for {stop_age_s[row]:.2f} s although the cameras had not "
             "shown that a robot stands still"
         )
-        yield _unrest(float(times_s[row]), finding)
+        yield _not_at_rest(float(times_s[row]), finding)
 
 
 def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
@@ -443,7 +450,9 @@ def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
     shown_s = MOTION_SEEN_S + truth.limits.latency + TRANSIT_S
     for fault in truth.shown_moving:
         if fault.span.began_s + shown_s < begins_s < fault.span.ended_s:
-            yield _unrest(begins_s, f"a run starts although the camera shows motion: {fault.kind}")
+            yield _not_at_rest(
+                begins_s, f"a run starts although the camera shows motion: {fault.kind}"
+            )
 
 
 # 3: robots stay inside the arena and apart
@@ -458,7 +467,7 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     place of a single robot and the worst place of a pair are reported. Test runs in which another
     program drove the robots, or in which false poses look like true ones, are not checked.
     """
-    if not len(truth.times_s) or truth.met(*ELSEWHERE) or truth.false_as_true:
+    if not len(truth.times_s) or truth.met(*DRIVEN_BY_OTHERS) or truth.false_as_true:
         return
     speed_mm_s = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
     wrong_mm = np.maximum.accumulate(truth.error_mm, axis=0)
@@ -495,7 +504,7 @@ def _rolls_on_s(truth: Truth) -> Floats:
     fail, the robot's watchdog is added.
     """
     stops_s = TRANSIT_S + LAG_MAX_S + _radio_late_s(truth)
-    if truth.met(*STOPS_FAIL):
+    if truth.met(*STOP_LOSING_FAULTS):
         stops_s += truth.watchdog_s
     driven_unseen_s = np.where(truth.wheel_speed_mm_s > DRIVEN_MM_S, truth.unseen_s, 0.0)
     unseen_s = np.maximum.accumulate(driven_unseen_s, axis=0) + truth.late_s
@@ -549,13 +558,13 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
     checked = truth.fresh & is_driven & is_before_end
     off_mm, off_rad = _least_pose_errors(truth)
     turned_rad = sum(abs(fault.fields.get("turn", 0.0)) for fault in truth.faults_of("pushed"))
-    for errors, most, unit in (
+    for errors, error_max, unit in (
         (off_mm - _pushed_mm(truth), POSE_MM, "mm"),
         (off_rad - turned_rad, POSE_RAD, "rad"),
     ):
-        wrong = checked & (errors > most)
-        if wrong.any():
-            row, i = np.argwhere(wrong)[0]
+        is_wrong = checked & (errors > error_max)
+        if is_wrong.any():
+            row, i = np.argwhere(is_wrong)[0]
             finding = (
                 f"the accepted pose of {truth.setup.names[i]} is wrong by "
                 f"{errors[row, i]:.3g} {unit}"
@@ -573,8 +582,9 @@ def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
     one to the last bit, because a frozen pose looks like the pose of a stationary robot. `stale`,
     `TRANSIT_S` and the watchdog are then added, because no command acts longer than this.
 
-    Returns: The distance to the nearest position [mm] (T, N), and to the nearest heading [rad] (T,
-        N). The two may come from different exposures. Infinite if no pose was accepted.
+    Returns:
+        The distance to the nearest position [mm] (T, N), and to the nearest heading [rad] (T, N).
+        The two may come from different exposures. Infinite if no pose was accepted.
     """
     frozen_s = truth.limits.stale + TRANSIT_S + truth.watchdog_s
     may_be_old_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
@@ -586,9 +596,9 @@ def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
     most_rows_back = int((rows - earliest_rows).max(initial=0))
     for rows_back in range(most_rows_back + 1):
         exposed_rows = np.maximum(rows - rows_back, earliest_rows)
-        off = truth.accepted - truth.poses[exposed_rows, robots]
-        off_mm = np.hypot(off[..., 0], off[..., 1])
-        off_rad = np.abs(np.remainder(off[..., 2] + np.pi, 2 * np.pi) - np.pi)
+        differences = truth.accepted - truth.poses[exposed_rows, robots]
+        off_mm = np.hypot(differences[..., 0], differences[..., 1])
+        off_rad = np.abs(np.remainder(differences[..., 2] + np.pi, 2 * np.pi) - np.pi)
         least_mm = np.fmin(least_mm, off_mm)  # leaves out NaN, where there is no pose
         least_rad = np.fmin(least_rad, off_rad)
     return least_mm, least_rad
@@ -608,7 +618,7 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
     rows = np.unique(truth.logged_exposures).tolist()
     ready_s = [time_s(event) for event in truth.events("guard", state="ready")]
     for fault in truth.faults_of("ghost", "repeat"):
-        others = [other.span for other in truth.faults if other is not fault]
+        other_spans = [other.span for other in truth.faults if other is not fault]
         named = [fault.fields["robot"]] if "robot" in fault.fields else truth.setup.names
         for i in map(truth.setup.names.index, named):
             accepted_s = refused_s = np.inf
@@ -619,9 +629,11 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
                     continue
                 was_refused = refused_s - accepted_s > REFUSED_S
                 lasts = fault.span.began_s < refused_s and at_s < fault.span.ended_s
-                alone = not any(o.began_s < at_s and o.ended_s > accepted_s for o in others)
+                is_only_fault = not any(
+                    span.began_s < at_s and span.ended_s > accepted_s for span in other_spans
+                )
                 paused = any(accepted_s < ready < at_s for ready in ready_s)
-                if was_refused and lasts and alone and not paused:
+                if was_refused and lasts and is_only_fault and not paused:
                     finding = (
                         f"a false pose of {truth.setup.names[i]} is accepted again: {fault.kind}"
                     )
@@ -639,7 +651,7 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
     `READING_WAITS_S` after the beginning may come from before the fault.
     """
     arrives_s = READING_WAITS_S if truth.setup.sight.coarse else 2 * FRAME_S
-    for fault in hiding(truth):
+    for fault in hiding_faults(truth):
         began_s = fault.span.began_s + arrives_s
         ended_s = fault.span.ended_s - 2 * FRAME_S
         is_hidden = (truth.times_s > began_s) & (truth.times_s < ended_s)
@@ -658,14 +670,14 @@ def _result_is_true(truth: Truth) -> Iterator[Violation]:
     log = truth.trial
     if log is None or log.result is None or not log.result.outcome.complete:
         return
-    most_mm = float(_result_off_mm(truth, log.result.robot_errors).max())
+    most_mm = float(_result_errors_mm(truth, log.result.robot_errors).max())
     if most_mm > RESULT_MM:
         finding = f"the result is wrong by {most_mm:.0f} mm"
         at_s = float(truth.times_s[-1])
         yield Violation("untrue", at_s, finding)
 
 
-def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
+def _result_errors_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
     """Compare each robot's error in a result with the nearest true error, shape (N,).
 
     True errors in the last `stale` before the last frame are compared, because a robot that is
@@ -674,14 +686,14 @@ def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
     final_s = truth.times_s[truth.final_exposure]
     is_recent = (truth.times_s > final_s - truth.limits.stale) & (truth.times_s <= final_s)
     to_targets = truth.poses[is_recent, :, :2] / truth.unit_mm - truth.setup.targets.reshape(-1, 2)
-    off = np.hypot(to_targets[..., 0], to_targets[..., 1]) - robot_errors
-    return np.abs(off).min(axis=0) * truth.unit_mm
+    differences = np.hypot(to_targets[..., 0], to_targets[..., 1]) - robot_errors
+    return np.abs(differences).min(axis=0) * truth.unit_mm
 
 
 # When no camera can show a robot
 
 
-def hiding(truth: Truth) -> Iterator[VisibleFault]:
+def hiding_faults(truth: Truth) -> Iterator[VisibleFault]:
     """Yield the faults that hide a robot from the camera.
 
     The robot is untracked, or lifted or tipped by more than the spec and a camera's noise allow.

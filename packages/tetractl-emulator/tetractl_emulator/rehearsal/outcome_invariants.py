@@ -12,7 +12,7 @@ import numpy as np
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.plan import Outcome
 from tetractl.verification.result_check import result_differences
-from tetractl_emulator.fault_rows import MOTION, PLACE
+from tetractl_emulator.fault_rows import MOTION_REASONS, PLACE_REASONS
 from tetractl_emulator.rehearsal.day import HUNG
 from tetractl_emulator.rehearsal.logged import logged
 from tetractl_emulator.rehearsal.truth import TRANSIT_S, Truth, Violation
@@ -193,8 +193,8 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
     The reason must match one of these patterns, in upper or lower case:
 
     - a pattern that the table of faults contains for a fault that became visible;
-    - `PLACE`, for robots near the edge, an obstacle or each other;
-    - `MOTION`, in a test run in which poses froze like those of stationary robots.
+    - `PLACE_REASONS`, for robots near the edge, an obstacle or each other;
+    - `MOTION_REASONS`, in a test run in which poses froze like those of stationary robots.
 
     In a test run that was planned without faults, every reason is wrong, because the lab is as the
     spec allows.
@@ -203,9 +203,9 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
     if not reason:
         return
     at_s = min(truth.abort_s, NO_ABORT_S)
-    right = [PLACE, *(str(fault.fields["right"]) for fault in truth.faults)]
+    right = [PLACE_REASONS, *(str(fault.fields["right"]) for fault in truth.faults)]
     if truth.froze_as_rest:
-        right.append(MOTION)
+        right.append(MOTION_REASONS)
     is_right = any(re.search(pattern, reason, re.IGNORECASE) for pattern in right)
     if not truth.day.plan.faults or not is_right:
         yield Violation("reason", at_s, reason[:200])

@@ -8,7 +8,7 @@ from testkit.plants import sim
 from testkit.problems import problem, world
 from testkit.trials import experiment
 from tetractl_microscope.choice.closed_loop import (
-    TURN,
+    SIGNAL_STD_RAD,
     Linear,
     Noise,
     end_covariance,
@@ -159,7 +159,7 @@ def loop(by_signal, length):
     zero = np.zeros((length, 1, 2))
     return Linear(
         miss=np.zeros(1),
-        by_signal=np.array(by_signal) / TURN,
+        by_signal=np.array(by_signal) / SIGNAL_STD_RAD,
         by_heading=np.zeros((length + 1, 1, 2)),
         by_a=zero,
         by_speed=zero,
@@ -185,7 +185,7 @@ def test_a_correction_follows_measurements_as_far_as_they_are_believed():
 def test_exact_measurements_and_full_reach_leave_no_error():
     moving = loop([[5.0, 0.0], [0.0, 5.0]], 2)
     moving = replace(moving, by_a=np.array([[[1.0, 1.0]], [[0.0, 0.0]]]))
-    wide = np.array([[0.0, 50.0], [0.0, 50.0]]) / TURN
+    wide = np.array([[0.0, 50.0], [0.0, 50.0]]) / SIGNAL_STD_RAD
     noise = replace(QUIET, a_std=0.1)
     open_loop = end_covariance(moving, noise, corrects=False)
     assert open_loop == pytest.approx(np.full((2, 2), 0.01))

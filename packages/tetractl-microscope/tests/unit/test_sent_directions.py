@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tetractl_microscope.sent_directions import (
-    AT_ONCE_S,
     DELAYS_S,
     GRID_S,
+    SHORT_DELAYS_S,
     SentDirections,
     TurnedCourse,
     check_directions,
-    image,
+    mirror_reading,
     other_readings,
 )
 
@@ -48,7 +48,7 @@ def course_by(sent: SentDirections, late_s: float = 0.0, drive_s=DRIVE_S) -> Tur
 
 
 def check(turned: list[TurnedCourse], sent: SentDirections, least: float = 0.0) -> None:
-    readings = [image("p.csv", "c.csv", sent), *other_readings("c.csv", sent, 1 / 30)]
+    readings = [mirror_reading("p.csv", "c.csv", sent), *other_readings("c.csv", sent, 1 / 30)]
     check_directions("p.csv", turned, sent, DELAYS_S, readings, least)
 
 
@@ -72,7 +72,7 @@ def test_a_clock_within_a_regular_cycle_is_refused():
     turned = [course_by(REGULAR, late_s=-1.1)]
     readings = other_readings("c.csv", REGULAR, 1 / 30)
     with pytest.raises(UsageError, match=r"robots turn 1\.1 s before the directions"):
-        check_directions("p.csv", turned, REGULAR, AT_ONCE_S, readings)
+        check_directions("p.csv", turned, REGULAR, SHORT_DELAYS_S, readings)
 
 
 def test_a_mirror_image_that_no_dead_time_explains_is_refused():

@@ -4,7 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from tetractl_microscope.survey import _choice_line, _keep_files, _places
+from tetractl_microscope.survey import _choice_line, _parse_micrometer, _rebase_file_names
 
 from tetractl.core.errors import UsageError
 
@@ -28,7 +28,7 @@ def test_a_spec_in_another_folder_names_the_same_files(tmp_path):
         "plant": {"type": "sim"},
         "controller": None,
     }
-    _keep_files(data, tmp_path / "experiments", tmp_path / "trials")
+    _rebase_file_names(data, tmp_path / "experiments", tmp_path / "trials")
     assert data["lab"]["calibration"] == str(Path("..") / "experiments" / "scale.yaml")
     assert data["identified"] == str(Path("..") / "cells.yaml")
     assert data["plant"] == {"type": "sim"}
@@ -49,7 +49,7 @@ def test_files_that_are_not_relative_names_are_kept(tmp_path):
         "plant": {"faults": {"lost": 1}, "calibration": "a.yaml"},
         "controller": {"weights": "w.npz", "period": 0.2},
     }
-    _keep_files(data, tmp_path / "here", tmp_path / "there")
+    _rebase_file_names(data, tmp_path / "here", tmp_path / "there")
     assert (tmp_path / "there" / data["lab"]["calibration"]).resolve() == Path(absolute).resolve()
     assert data["plant"] == {"faults": {"lost": 1}, "calibration": str(Path("../here/a.yaml"))}
     assert data["controller"] == {"weights": str(Path("../here/w.npz")), "period": 0.2}
@@ -63,7 +63,7 @@ def test_files_that_are_not_relative_names_are_kept(tmp_path):
     ],
 )
 def test_two_places_and_their_distance_are_read_in_this_order(text, places):
-    assert _places(text) == places
+    assert _parse_micrometer(text) == places
 
 
 @pytest.mark.parametrize(
@@ -83,4 +83,4 @@ def test_two_places_and_their_distance_are_read_in_this_order(text, places):
 )
 def test_places_that_are_not_five_numbers_with_a_distance_are_refused(text):
     with pytest.raises(UsageError, match="give five numbers"):
-        _places(text)
+        _parse_micrometer(text)

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from tetractl.core.poses import Floats, Grey
 
 MODULES = 8  # side of a tag in modules, including the black border
-ZERO = 0xD5D628584  # the AprilTag project's tag 0: one bit per module, row by row, 1 is white
+TAG_ZERO_BITS = (
+    0xD5D628584  # the AprilTag project's tag 0: one bit per module, row by row, 1 is white
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class Detector:
         parameters.adaptiveThreshWinSizeStep = 12
         parameters.perspectiveRemovePixelPerCell = 8
         parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred
-        self._detector = cv2.aruco.ArucoDetector(_family(), parameters)
+        self._detector = cv2.aruco.ArucoDetector(_tag_dictionary(), parameters)
         self._top_left = _top_left_corner(self._detector)
 
     def find(self, picture: Grey) -> list[Sighting]:
@@ -72,7 +74,7 @@ class Detector:
         if numbers is None or not len(numbers):
             return []
         corners = (np.array(rough, float).reshape(-1, 4, 2) + 0.5) / factor - 0.5
-        corners, blurs = refined(picture, np.roll(corners, -self._top_left, axis=1), MODULES)
+        corners, blurs = refine_corners(picture, np.roll(corners, -self._top_left, axis=1), MODULES)
         return [
             Sighting(int(number), corners_of_tag, float(blur))
             for number, corners_of_tag, blur in zip(numbers.ravel(), corners, blurs, strict=True)
@@ -85,10 +87,10 @@ def tag_picture(number: int) -> Grey:
     Returns:
         One pixel per module, shape (8, 8), 0 or 255.
     """
-    drawn = [np.rot90(_drawn(0), k) for k in range(4)]
-    printed = _zero()
-    turns = next(k for k in range(4) if np.array_equal(drawn[k], printed))
-    return np.ascontiguousarray(np.rot90(_drawn(number), turns))
+    rotations = [np.rot90(_draw_tag(0), k) for k in range(4)]
+    printed = _draw_tag_zero()
+    quarter_turns = next(k for k in range(4) if np.array_equal(rotations[k], printed))
+    return np.ascontiguousarray(np.rot90(_draw_tag(number), quarter_turns))
 
 
 def _top_left_corner(detector: cv2.aruco.ArucoDetector) -> int:
@@ -97,37 +99,39 @@ def _top_left_corner(detector: cv2.aruco.ArucoDetector) -> int:
     OpenCV's dictionary is rotated against the AprilTag project's pictures, by an angle that depends
     on the release. A picture of tag 0 shows the angle.
     """
-    square = np.kron(_zero(), np.ones((20, 20), np.uint8))
+    square = np.kron(_draw_tag_zero(), np.ones((20, 20), np.uint8))
     corners, _, _ = detector.detectMarkers(np.pad(square, 40, constant_values=255))
     return int(np.argmin(np.array(corners[0], float).reshape(4, 2).sum(axis=1)))
 
 
-def _family() -> cv2.aruco.Dictionary:
+def _tag_dictionary() -> cv2.aruco.Dictionary:
     """Return OpenCV's dictionary of the family 36h11."""
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 
 
-def _drawn(number: int) -> Grey:
+def _draw_tag(number: int) -> Grey:
     """Draw a tag with OpenCV, shape (8, 8), 0 or 255.
 
     It may be rotated relative to the AprilTag project's images.
     """
-    return cv2.aruco.generateImageMarker(_family(), number, MODULES).astype(np.uint8)
+    return cv2.aruco.generateImageMarker(_tag_dictionary(), number, MODULES).astype(np.uint8)
 
 
-def _zero() -> Grey:
+def _draw_tag_zero() -> Grey:
     """Draw the AprilTag project's tag 0, one pixel per module, shape (8, 8)."""
-    inside = [ZERO >> (35 - k) & 1 for k in range(36)]
+    inside = [TAG_ZERO_BITS >> (35 - k) & 1 for k in range(36)]
     return np.pad(255 * np.array(inside, np.uint8).reshape(6, 6), 1)
 
 
 # positions along a side, away from the corners, which blur rounds
-ALONG = np.linspace(0.15, 0.85, 15)
-ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
-NOTHING = 1e-9
+SAMPLES_ALONG = np.linspace(0.15, 0.85, 15)
+SAMPLES_ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
+EPSILON = 1e-9
 
 
-def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
+def refine_corners(
+    picture: NDArray[np.uint8], corners: Floats, modules: int
+) -> tuple[Floats, Floats]:
     """Refine the corners of T tags.
 
     Args:
@@ -144,53 +148,57 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
     blur = np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
     # less than a module on either side of an edge, so that only border and margin are sampled
-    offsets = 0.9 * module[:, None] * ACROSS  # (T, A)
+    offsets = 0.9 * module[:, None] * SAMPLES_ACROSS  # (T, A)
     step = offsets[:, 1:] - offsets[:, :-1]
-    between = (offsets[:, 1:] + offsets[:, :-1])[:, None, None] / 2
+    offset_middles = (offsets[:, 1:] + offsets[:, :-1])[:, None, None] / 2
     for _ in range(2):
         side = np.roll(corners, -1, axis=1) - corners
-        along = side / (np.linalg.norm(side, axis=-1, keepdims=True) + NOTHING)
-        outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-        places = corners[..., None, :] + ALONG[:, None] * side[..., None, :]  # (T, 4, S, 2)
-        normals = outward[:, :, None, None] * offsets[:, None, None, :, None]
-        grey = _sampled(picture, places[..., None, :] + normals)
-        rise = np.maximum(np.diff(grey, axis=-1), 0.0)  # outward, black turns to white
-        weight = rise**2 + NOTHING
+        side_directions = side / (np.linalg.norm(side, axis=-1, keepdims=True) + EPSILON)
+        normals_out = np.stack([side_directions[..., 1], -side_directions[..., 0]], axis=-1)
+        samples = (
+            corners[..., None, :] + SAMPLES_ALONG[:, None] * side[..., None, :]
+        )  # (T, 4, S, 2)
+        normals = normals_out[:, :, None, None] * offsets[:, None, None, :, None]
+        grey = _interpolate_grey(picture, samples[..., None, :] + normals)
+        rises = np.maximum(np.diff(grey, axis=-1), 0.0)  # outward, black turns to white
+        weight = rises**2 + EPSILON
         total = weight.sum(axis=-1)
-        shift = (weight * between).sum(axis=-1) / total
-        lines = _lines(places + shift[..., None] * outward[..., None, :], total)
-        meet = np.cross(np.roll(lines, 1, axis=1), lines)  # neighbours, not finite if parallel
+        shift = (weight * offset_middles).sum(axis=-1) / total
+        lines = _fit_lines(samples + shift[..., None] * normals_out[..., None, :], total)
+        intersections = np.cross(
+            np.roll(lines, 1, axis=1), lines
+        )  # neighbours, not finite if parallel
         with np.errstate(divide="ignore", invalid="ignore"):
-            corners = meet[..., :2] / meet[..., 2:]
-        profile = rise.mean(axis=(1, 2)) / step  # grey levels per pixel
+            corners = intersections[..., :2] / intersections[..., 2:]
+        profile = rises.mean(axis=(1, 2)) / step  # grey levels per pixel
         contrast = (profile * step).sum(axis=-1)
-        blur = contrast / (profile.max(axis=-1) + NOTHING) / np.sqrt(2 * np.pi)
-    moved = np.linalg.norm(corners - rough, axis=-1).max(axis=1)
-    good = moved < 2 * module  # false for NaN too
-    return np.where(good[:, None, None], corners, rough), blur
+        blur = contrast / (profile.max(axis=-1) + EPSILON) / np.sqrt(2 * np.pi)
+    shift_px = np.linalg.norm(corners - rough, axis=-1).max(axis=1)
+    is_refined = shift_px < 2 * module  # false for NaN too
+    return np.where(is_refined[:, None, None], corners, rough), blur
 
 
-def _sampled(picture: NDArray[np.uint8], points: Floats) -> Floats:
+def _interpolate_grey(picture: NDArray[np.uint8], points: Floats) -> Floats:
     """Interpolate the grey levels (..., M) of an image at columns and rows (..., M, 2).
 
     Positions outside the image give the level of the nearest pixel at its edge.
     """
     flat = points.reshape(-1, points.shape[-2], 2).astype(np.float32)
-    across = flat[..., 0].copy()
-    down = flat[..., 1].copy()
-    grey = cv2.remap(picture, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    columns = flat[..., 0].copy()
+    rows = flat[..., 1].copy()
+    grey = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return grey.reshape(points.shape[:-1]).astype(float)
 
 
-def _lines(points: Floats, weight: Floats) -> Floats:
+def _fit_lines(points: Floats, weight: Floats) -> Floats:
     """Fit lines to points (..., S, 2) with weights (..., S).
 
     Returns:
         a, b, c (..., 3) of a x + b y + c = 0 with a^2 + b^2 = 1.
     """
-    share = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
-    middle = (share * points).sum(axis=-2)
-    spread = points - middle[..., None, :]
-    _, axes = np.linalg.eigh(np.swapaxes(share * spread, -1, -2) @ spread)
+    fractions = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
+    middle = (fractions * points).sum(axis=-2)
+    deviations = points - middle[..., None, :]
+    _, axes = np.linalg.eigh(np.swapaxes(fractions * deviations, -1, -2) @ deviations)
     normal = axes[..., 0]  # eigenvector of the smaller eigenvalue
     return np.concatenate([normal, -(normal * middle).sum(axis=-1, keepdims=True)], axis=-1)

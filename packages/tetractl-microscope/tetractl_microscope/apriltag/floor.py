@@ -26,7 +26,9 @@ from tetractl_microscope.apriltag.section import FloorTag, Lens
 # corners of a tag of side 1: top left first, clockwise; x is the direction of reading
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
 CORNER_PX = 0.1  # standard deviation of a detected corner [px]
-ALIKE_PX = 0.15  # fits that differ less cannot be distinguished: corners are found to about 0.1 px
+MISFIT_TOLERANCE_PX = (
+    0.15  # fits that differ less cannot be distinguished: corners are found to about 0.1 px
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +77,10 @@ class Plane:
         """
         flat = pixels.reshape(-1, 1, 2)
         rays = cv2.undistortPoints(flat, self.matrix, self.distortion).reshape(pixels.shape)
-        ahead = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) @ self.rotation
+        directions = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) @ self.rotation
         camera = -self.rotation.T @ self.shift
-        reach = (height - camera[2]) / ahead[..., 2]
-        return camera[:2] + reach[..., None] * ahead[..., :2]
+        distances = (height - camera[2]) / directions[..., 2]
+        return camera[:2] + distances[..., None] * directions[..., :2]
 
     def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
         """Compute a tag's height above the floor [m] and its tilt against the floor [rad].
@@ -93,39 +95,39 @@ class Plane:
             Height and tilt. None if no pose fits.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
-        _, turns, shifts, errors = cv2.solvePnPGeneric(
+        _, rotations, translations, errors = cv2.solvePnPGeneric(
             square, pixels, self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
         misfits = np.ravel(errors)
         stances = [
-            self._upright(np.asarray(turn, float), np.asarray(shift, float))
-            for turn, shift, misfit in zip(turns, shifts, misfits, strict=True)
-            if misfit <= misfits.min() + ALIKE_PX
+            self._height_and_tilt(np.asarray(rotation, float), np.asarray(translation, float))
+            for rotation, translation, misfit in zip(rotations, translations, misfits, strict=True)
+            if misfit <= misfits.min() + MISFIT_TOLERANCE_PX
         ]
         return min(stances, key=lambda stance: stance[1], default=None)
 
-    def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
+    def _height_and_tilt(self, rotation_vector: Floats, translation: Floats) -> tuple[float, float]:
         """Convert a tag's pose in camera axes to height above the floor [m] and tilt [rad]."""
-        place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
-        upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
+        offset = self.rotation.T @ (translation.ravel() - self.shift.ravel())
+        upward = self.rotation.T @ cv2.Rodrigues(rotation_vector)[0][:, 2]
         tilt = np.arccos(np.clip(upward[2], -1.0, 1.0))
-        return float(place[2]), float(tilt)
+        return float(offset[2]), float(tilt)
 
 
-def placed(tag: FloorTag, metres: float) -> Floats:
+def floor_corners(tag: FloorTag, metres: float) -> Floats:
     """Compute the corners of a floor tag in the spec's axes, shape (4, 2) [m].
 
     `metres` is the length of the spec's unit [m].
     """
     cos = np.cos(tag.heading)
     sin = np.sin(tag.heading)
-    turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
-    return tag.size_mm * MM * turned + metres * np.array(tag.at)
+    rotated = SQUARE @ np.array([(cos, sin), (-sin, cos)])
+    return tag.size_mm * MM * rotated + metres * np.array(tag.at)
 
 
-def calibrated(
+def calibrate(
     pixels: Floats,
-    places: Floats,
+    positions_m: Floats,
     size: tuple[int, int],
     lens: Lens | None = None,
     highest: float = 0.0,
@@ -134,56 +136,58 @@ def calibrated(
 
     Args:
         pixels: Corners of F floor tags in the image [px], shape (F, 4, 2).
-        places: Positions of these corners on the floor [m], shape (F, 4, 2).
+        positions_m: Positions of these corners on the floor [m], shape (F, 4, 2).
         size: Width and height of the image [px].
         lens: The lens. None if it is unknown and must be fitted.
         highest: Maximum height of a robot's tag above the floor [m].
     """
     points = pixels.reshape(-1, 2)
-    spots = places.reshape(-1, 2)
+    spots = positions_m.reshape(-1, 2)
     middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
     doubt = 0.0
     if lens is not None:
-        matrix = _matrix(lens.focal_px, lens.centre or middle)
-        plane = _posed(matrix, np.array(lens.distortion, float), points, spots)
+        matrix = _camera_matrix(lens.focal_px, lens.centre or middle)
+        plane = _find_pose(matrix, np.array(lens.distortion, float), points, spots)
     else:
-        usual, deviations = _fitted(points, spots, size[0], middle)
-        plane = _posed(*_lens_of(usual, size[0], middle), points, spots)
+        scaled_lens, deviations = _fit_lens(points, spots, size[0], middle)
+        plane = _find_pose(*_lens_of(scaled_lens, size[0], middle), points, spots)
         centres = pixels.mean(axis=1)
         # points between the tags, where robots may be
-        between = (centres[:, None] + centres[None]) / 2
-        positions = plane.locate(between, highest)
+        middles = (centres[:, None] + centres[None]) / 2
+        positions = plane.locate(middles, highest)
         for deviation in deviations:
             # a lens that is wrong by two standard deviations
-            wrong_plane = _posed(*_lens_of(usual + 2.0 * deviation, size[0], middle), points, spots)
-            gaps = np.linalg.norm(wrong_plane.locate(between, highest) - positions, axis=-1)
-            doubt = math.hypot(doubt, float(gaps.max()) / MM)
-    off = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
-    error = float(np.sqrt(np.mean(off**2)))
-    return replace(plane, error_mm=error, worst_mm=float(off.max()), doubt_mm=doubt)
+            wrong_plane = _find_pose(
+                *_lens_of(scaled_lens + 2.0 * deviation, size[0], middle), points, spots
+            )
+            shifts = np.linalg.norm(wrong_plane.locate(middles, highest) - positions, axis=-1)
+            doubt = math.hypot(doubt, float(shifts.max()) / MM)
+    distances = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
+    error = float(np.sqrt(np.mean(distances**2)))
+    return replace(plane, error_mm=error, worst_mm=float(distances.max()), doubt_mm=doubt)
 
 
-def _matrix(focal: float, centre: Sequence[float]) -> Floats:
+def _camera_matrix(focal: float, centre: Sequence[float]) -> Floats:
     """Return the camera matrix K for a focal length and a principal point [px]."""
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
 
 
-def _lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
+def _lens_of(scaled_lens: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
     """Compute the camera matrix K and the distortion of a lens.
 
     Args:
-        usual: log(f / width) and k1, each divided by the standard deviation of its prior, shape
-            (2,).
+        scaled_lens: log(f / width) and k1, each divided by the standard deviation of its prior,
+            shape (2,).
         width: Width of the image [px].
         middle: Principal point [px].
     """
     # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
-    focal = width * math.exp(0.35 * usual[0])
-    bend = 0.15 * usual[1]
-    return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
+    focal = width * math.exp(0.35 * scaled_lens[0])
+    k1 = 0.15 * scaled_lens[1]
+    return _camera_matrix(focal, middle), np.array([k1, 0.0, 0.0, 0.0])
 
 
-def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
+def _find_pose(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
     """Find the pose of a camera with a known lens from points on the floor.
 
     Args:
@@ -192,13 +196,13 @@ def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) ->
         points: Pixels of the points, shape (M, 2).
         spots: Positions of the points on the floor, shape (M, 2) [m].
     """
-    _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
-    rotation, _ = cv2.Rodrigues(turn)
+    _, rotation_vector, shift = cv2.solvePnP(_to_points_on_floor(spots), points, matrix, distortion)
+    rotation, _ = cv2.Rodrigues(rotation_vector)
     shift_m = shift.ravel().astype(float)
     return Plane(matrix, distortion, rotation.astype(float), shift_m)
 
 
-def _fitted(
+def _fit_lens(
     points: Floats, spots: Floats, width: int, middle: Sequence[float]
 ) -> tuple[Floats, Floats]:
     """Fit the most probable lens of a camera from points on the floor.
@@ -214,40 +218,42 @@ def _fitted(
         by the standard deviations of the priors. Each row of the second array is one standard
         deviation along an axis of the error ellipse.
     """
-    start = _posed(*_lens_of(np.zeros(2), width, middle), points, spots)
-    turn, _ = cv2.Rodrigues(start.rotation)
+    start = _find_pose(*_lens_of(np.zeros(2), width, middle), points, spots)
+    rotation_vector, _ = cv2.Rodrigues(start.rotation)
 
     def misfit(x: Floats) -> Floats:
         """Return the errors of the spots' pixels for pose and lens x (8,), and of the lens.
 
         All are in standard deviations.
         """
-        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens_of(x[6:], width, middle))
+        pixels, _ = cv2.projectPoints(
+            _to_points_on_floor(spots), x[:3], x[3:6], *_lens_of(x[6:], width, middle)
+        )
         return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
 
-    first = np.concatenate([turn.ravel(), start.shift, np.zeros(2)])
-    fit = least_squares(misfit, first, method="lm", x_scale="jac")
+    initial = np.concatenate([rotation_vector.ravel(), start.shift, np.zeros(2)])
+    fit = least_squares(misfit, initial, method="lm", x_scale="jac")
     variances, axes = np.linalg.eigh(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:])
     return fit.x[6:], np.sqrt(variances)[:, None] * axes.T
 
 
-def _flat(spots: Floats) -> Floats:
+def _to_points_on_floor(spots: Floats) -> Floats:
     """Convert points on the floor (M, 2) to points in space (M, 3) at height 0."""
     return np.column_stack([spots, np.zeros(len(spots))])
 
 
 MOVED_PX = 3.0  # a floor tag this far from its mean position, or the camera, has been moved
-AVERAGED = 32  # largest number of pictures over which corners are averaged
+IMAGES_AVERAGED_MAX = 32  # largest number of pictures over which corners are averaged
 MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in the spec is wrong
 
 
 class Floor:
     """Keeps the camera calibrated by the floor tags.
 
-    Corners are averaged over `AVERAGED` images, since neither camera nor floor tags move. If a
-    corner moves by more than `MOVED_PX`, the calibration is discarded until an image shows all
-    floor tags again. A calibration by which a floor tag is more than `MISFIT_MM` away from its
-    position in the spec is not used; it is kept in `misfit`.
+    Corners are averaged over up to `IMAGES_AVERAGED_MAX` images, since neither camera nor floor
+    tags move. If a corner moves by more than `MOVED_PX`, the calibration is discarded until an
+    image shows all floor tags again. A calibration by which a floor tag is more than `MISFIT_MM`
+    away from its position in the spec is not used; it is kept in `misfit`.
 
     Args:
         tags: The floor tags with their positions.
@@ -262,11 +268,11 @@ class Floor:
         self.plane: Plane | None = None
         self.misfit: Plane | None = None
         self._numbers = [tag.tag for tag in tags]
-        self._places = np.array([placed(tag, metres) for tag in tags])
+        self._positions_m = np.array([floor_corners(tag, metres) for tag in tags])
         self._lens = lens
         self._highest = highest_mm * MM
-        self._mean: Floats | None = None  # averaged corners (F, 4, 2) [px]
-        self._count = 0
+        self._mean_corners: Floats | None = None  # averaged corners (F, 4, 2) [px]
+        self._image_count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
         """Use the floor tags that are seen exactly once in an image.
@@ -276,20 +282,24 @@ class Floor:
             size: Width and height of the image [px].
         """
         by_tag = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
-        if self._mean is not None and any(
-            np.abs(tag_corners - self._mean[i]).max() > MOVED_PX
+        if self._mean_corners is not None and any(
+            np.abs(tag_corners - self._mean_corners[i]).max() > MOVED_PX
             for i, tag_corners in by_tag.items()
         ):
-            self._mean = self.plane = self.misfit = None
+            self._mean_corners = self.plane = self.misfit = None
         if len(by_tag) < len(self._numbers):
             return
-        now = np.array([by_tag[i] for i in range(len(by_tag))])
-        if self._mean is None:
-            self._mean = now
-            self._count = 0
-        self._count += 1
-        self._mean = self._mean + (now - self._mean) / min(self._count, AVERAGED)
-        if self._count % AVERAGED == 0 or self._count.bit_count() == 1:
-            plane = calibrated(self._mean, self._places, size, self._lens, self._highest)
+        newest = np.array([by_tag[i] for i in range(len(by_tag))])
+        if self._mean_corners is None:
+            self._mean_corners = newest
+            self._image_count = 0
+        self._image_count += 1
+        self._mean_corners = self._mean_corners + (newest - self._mean_corners) / min(
+            self._image_count, IMAGES_AVERAGED_MAX
+        )
+        if self._image_count % IMAGES_AVERAGED_MAX == 0 or self._image_count.bit_count() == 1:
+            plane = calibrate(
+                self._mean_corners, self._positions_m, size, self._lens, self._highest
+            )
             fits = plane.worst_mm <= MISFIT_MM
             self.plane, self.misfit = (plane, None) if fits else (None, plane)

@@ -18,39 +18,65 @@ from numpy.typing import NDArray
 from tetractl.core.poses import Bools, Floats, Grey
 from tetractl_microscope.cells.knocks import moved, shift_of
 
-STRIPES = 16  # number of stripes of the background; each picture updates one
-LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
-SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
-ROWS_PX = 300_000  # most pixels of each picture that a median takes at a time
-BOX = 1.2  # side of the averaged squares, relative to a square of the least area
-# thresholds of averaged differences, in standard deviations of their noise
-LOW = 3.0
-HIGH = 4.5
-LEAST = 0.33  # least standard deviation of that noise: pictures have whole grey levels
-NOISY = 4.0  # growth of the noise at which the background no longer applies
-NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
-BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
-CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
-EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
-# least ratio of differences from what is around, in the background and in the picture, where a body
-# is only in the background
-GHOST = 2.0
-RAMP = 0.2, 0.6  # differences between which a weight rises, relative to the body's greatest mean
-BODIES = 4  # bodies in a region
-NEXT = 0.5  # least peak of each, relative to the first's
-KNOCK = 1.1, 0.0003  # factor and fraction by which a knock makes more of the picture change
-USUAL_SHARE = 0.05  # weight of a picture in the mean changed fraction: 20 pictures; chosen
-# light relative to the background's, beyond which a picture is compared as it is: it is nearly
-# black, or the background is; chosen, and far beyond what a lamp is turned by
+STRIPE_COUNT = 16
+"""Number of horizontal stripes of the background. Each image updates one of them."""
+LEARNING_RATE = 0.1
+"""Weight of an image in the background: a time constant of 5 s at 30 images per second."""
+SAMPLED_ROWS = 64
+"""Number of rows from which light and noise are estimated. A small image has fewer."""
+ROWS_PX = 300_000
+"""Maximum number of pixels of each image that the median processes at once."""
+SQUARE_SIDE = 1.2
+"""Side of the averaging square, relative to a square with the minimum area of a cell."""
+LOW_STDS = 3.0
+"""Threshold for every pixel of a body, in standard deviations of the averaged differences."""
+HIGH_STDS = 4.5
+"""Threshold for the peak of a body, in standard deviations of the averaged differences."""
+NOISE_STD_MIN = 0.33
+"""Minimum standard deviation of the averaged differences, because images have whole grey levels."""
+NOISE_GROWTH_MAX = 4.0
+"""Ratio of the noise to the noise after learning, above which the background is invalid."""
+NOISE_MAX = 20.0
+"""Maximum noise of an image of a dish [grey levels]."""
+BLOBS_MAX = 200
+"""Maximum number of blobs in an image. The smallest ones are dropped."""
+CHANGED_FRACTION_MAX = 0.25
+"""Fraction of changed pixels above which the background is invalid."""
+EDGE_FRACTION = 0.5
+"""Averaged difference at the edge of a body, as a fraction of the body's peak."""
+GHOST_RATIO = 2.0
+"""Contrast in the background, relative to the contrast in the image, that marks a ghost.
+
+A ghost is a body that is in the background but not in the image. Both contrasts are measured
+against the surroundings of the body.
+"""
+WEIGHT_RAMP = 0.2, 0.6
+"""Differences between which the weight of a pixel rises, as fractions of the body's peak."""
+BODIES_MAX = 4
+"""Maximum number of bodies in a region."""
+NEXT_PEAK_FRACTION = 0.5
+"""Minimum peak of a further body in a region, as a fraction of the largest peak."""
+KNOCK_CHANGE = 1.1, 0.0003
+"""Factor on the usual changed fraction, and a term added to it. A larger change may be a knock."""
+USUAL_SHARE = 0.05
+"""Weight of an image in the mean changed fraction: a time constant of 20 images. Chosen by hand."""
 GAIN_LEAST = 0.05
 GAIN_MOST = 20.0
-# standard deviations in a median absolute deviation, if noise is normal: 1 / 0.6745, rounded
+"""Brightness relative to the background, up to which an image is scaled. GAIN_LEAST is the minimum.
+
+Beyond these values, the image or the background is nearly black, and the image is compared without
+scaling. The values were chosen by hand; no lamp is adjusted that far.
+"""
 NORMAL_MAD = 1.48
-# least span above their median of averaged differences without cells [grey levels]
+"""Standard deviation of normal noise, relative to its median absolute deviation: 1 / 0.6745."""
 USUAL_SPAN = 2.0
-LOST = 5  # pictures lost until learning begins again
-EVERY = 3  # it learns from the pictures of one of so many stripes
-AGAIN = 9  # and begins again from so many
+"""Minimum span above the median in which averaged differences count as noise [grey levels]."""
+LOST_IN_A_ROW_MAX = 5
+"""Number of lost images in a row after which the background is learned again."""
+SAMPLED_STRIDE = 3
+"""When learning again, every SAMPLED_STRIDE-th lost image is used."""
+RELEARNING_SAMPLES = 9
+"""Number of images from which the background is learned again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +155,7 @@ class Background:
     def __init__(self, fine: NDArray[np.float32]) -> None:
         self.fine = fine
         self.learned = fine.copy()
-        self.grey = _grey(cv2.convertScaleAbs(fine))
+        self.grey = _to_grey(cv2.convertScaleAbs(fine))
 
     def move(self, shift_px: tuple[float, float]) -> None:
         """Shift the background with the content of the image.
@@ -139,7 +165,7 @@ class Background:
         """
         self.fine = np.asarray(moved(self.fine, shift_px), np.float32)
         self.learned = np.asarray(moved(self.learned, shift_px), np.float32)
-        self.grey = _grey(cv2.convertScaleAbs(self.fine))
+        self.grey = _to_grey(cv2.convertScaleAbs(self.fine))
 
     def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
         """Shift the background as far as an image has shifted.
@@ -157,17 +183,17 @@ class Background:
         return shift
 
     def correct(
-        self, part: tuple[slice, slice], wrong: Bools, levels: NDArray[np.floating]
+        self, rectangle: tuple[slice, slice], is_wrong: Bools, levels: NDArray[np.floating]
     ) -> None:
-        """Replace wrong pixels in a part of the background.
+        """Replace wrong pixels in a rectangle of the background.
 
         Args:
-            part: The part, as slices of rows and columns.
-            wrong: Which of its pixels to replace.
+            rectangle: The rectangle, as slices of rows and columns.
+            is_wrong: Which of its pixels to replace.
             levels: The grey levels that replace them.
         """
-        self.fine[part][wrong] = levels[wrong]
-        self.grey[part][wrong] = np.clip(self.fine[part][wrong], 0, 255)
+        self.fine[rectangle][is_wrong] = levels[is_wrong]
+        self.grey[rectangle][is_wrong] = np.clip(self.fine[rectangle][is_wrong], 0, 255)
 
     def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey) -> None:
         """Update rows of the background by a weighted mean with new grey levels.
@@ -178,7 +204,7 @@ class Background:
             calm: Mask of the pixels to update.
         """
         fine = self.fine[rows]
-        cv2.accumulateWeighted(levels, fine, LEARNING, calm)
+        cv2.accumulateWeighted(levels, fine, LEARNING_RATE, calm)
         self.grey[rows] = cv2.convertScaleAbs(fine)
 
 
@@ -200,7 +226,7 @@ class SearchLimits(NamedTuple):
     @property
     def level(self) -> float:
         """The mean of the averaged differences where there is no body [grey levels]."""
-        return self.low - (self.high - self.low) * LOW / (HIGH - LOW)
+        return self.low - (self.high - self.low) * LOW_STDS / (HIGH_STDS - LOW_STDS)
 
 
 NO_BODY = SearchLimits(low=math.inf, high=math.inf, least_px2=0.0, most_px2=0.0)
@@ -233,9 +259,9 @@ class SearchArrays:
         After the lowest stripe, the topmost follows.
         """
         height = len(self.smooth)
-        top = self.stripe * height // STRIPES
-        bottom = (self.stripe + 1) * height // STRIPES
-        self.stripe = (self.stripe + 1) % STRIPES
+        top = self.stripe * height // STRIPE_COUNT
+        bottom = (self.stripe + 1) * height // STRIPE_COUNT
+        self.stripe = (self.stripe + 1) % STRIPE_COUNT
         return slice(top, bottom)
 
 
@@ -244,11 +270,11 @@ class LostPictures:
     """The images that could not be compared with the background.
 
     Attributes:
-        in_turn: Number of such images in a row.
+        in_a_row: Number of such images in a row.
         sample: A sample of them, from which a new background is learned.
     """
 
-    in_turn: int = 0
+    in_a_row: int = 0
     sample: list[Grey] = field(default_factory=list)
 
 
@@ -288,24 +314,29 @@ class BlobFinder:
         Each image is first shifted and scaled to fit the middle one. The method also determines
         whether most cells are brighter or darker than the background.
         """
-        medians = np.array([np.median(_sparse(picture)) for picture in pictures])
+        medians = np.array([np.median(_sample_pixels(picture)) for picture in pictures])
         levels = np.maximum(medians, 1.0)
         gains = np.median(levels) / levels
-        half = len(pictures) // 2
-        near = slice(max(0, half - 2), half + 3)
-        usual = _grey(cv2.convertScaleAbs(_median(pictures[near], gains[near])))
-        still = [
-            moved(picture, shift_of(cv2.convertScaleAbs(picture, alpha=gain), usual))
+        middle = len(pictures) // 2
+        middle_images = slice(max(0, middle - 2), middle + 3)
+        middle_median = _to_grey(
+            cv2.convertScaleAbs(_median_image(pictures[middle_images], gains[middle_images]))
+        )
+        aligned = [
+            moved(picture, shift_of(cv2.convertScaleAbs(picture, alpha=gain), middle_median))
             for picture, gain in zip(pictures, gains, strict=True)
         ]
-        fine = _median(still, gains)
-        _blurred(fine, np.empty_like(fine), fine)
-        self._background = Background(fine)
-        expected = _sparse(fine)
-        apart = [
-            gain * _sparse(picture) - expected for picture, gain in zip(still, gains, strict=True)
+        median_levels = _median_image(aligned, gains)
+        _blur(median_levels, np.empty_like(median_levels), median_levels)
+        self._background = Background(median_levels)
+        median_sample = _sample_pixels(median_levels)
+        differences = [
+            gain * _sample_pixels(picture) - median_sample
+            for picture, gain in zip(aligned, gains, strict=True)
         ]
-        self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
+        self.bright = (
+            float(np.sum(np.power(differences, 3))) > 0
+        )  # noise is symmetric, cells are not
         self._usual = None
         self._lost = LostPictures()
 
@@ -320,32 +351,32 @@ class BlobFinder:
         if self._newest.smooth.shape != picture.shape:
             self._newest = SearchArrays(picture)
         newest = self._newest
-        _blurred(picture, newest.difference, newest.smooth)
-        light = self._compare(background, newest)
+        _blur(picture, newest.difference, newest.smooth)
+        light = self._compare_with_background(background, newest)
         usual = self._usual
         shift = (0.0, 0.0)
-        if usual is None or light.changed > KNOCK[0] * usual.changed + KNOCK[1]:
+        if usual is None or light.changed > KNOCK_CHANGE[0] * usual.changed + KNOCK_CHANGE[1]:
             shift = background.follow_knock(newest.smooth, light.gain)
             if shift != (0.0, 0.0):
-                light = self._compare(background, newest)
+                light = self._compare_with_background(background, newest)
             changed = light.changed
         else:
             changed = usual.changed + USUAL_SHARE * (light.changed - usual.changed)
         first_noise = light.noise if usual is None else usual.noise
         self._usual = replace(light, changed=changed, noise=first_noise)
-        noisy = light.noise > NOISY * max(first_noise, 1.0)
+        is_noisy = light.noise > NOISE_GROWTH_MAX * max(first_noise, 1.0)
         is_relearning = len(self._lost.sample) > 0  # once begun, until there is a new background
-        lost = light.lost or noisy or light.changed > CHANGED or is_relearning
-        candidates = [] if lost else self._blobs(newest)
+        is_lost = light.lost or is_noisy or light.changed > CHANGED_FRACTION_MAX or is_relearning
+        candidates = [] if is_lost else self._largest_blobs(newest)
         blobs = self._without_ghosts(candidates, light.gain, background)
         contrast = float(np.median([blob.strength for blob in blobs])) if blobs else None
         self.light = replace(
-            light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if usual is None else shift
+            light, contrast=contrast, lost=is_lost, shift_px=(0.0, 0.0) if usual is None else shift
         )
-        self._lost.in_turn = self._lost.in_turn + 1 if lost else 0
+        self._lost.in_a_row = self._lost.in_a_row + 1 if is_lost else 0
         return blobs
 
-    def _compare(self, background: Background, newest: SearchArrays) -> Light:
+    def _compare_with_background(self, background: Background, newest: SearchArrays) -> Light:
         """Compare the newest image with the background.
 
         The difference, its limits, its averages and the mask are stored in `newest`.
@@ -353,45 +384,45 @@ class BlobFinder:
         Returns:
             The brightness and noise of the image.
         """
-        levels = _sparse(newest.smooth)
-        background_levels = np.maximum(_sparse(background.grey), 1)
+        levels = _sample_pixels(newest.smooth)
+        background_levels = np.maximum(_sample_pixels(background.grey), 1)
         gain = float(np.median(levels / background_levels))
         gain = gain if GAIN_LEAST < gain < GAIN_MOST else 1.0
         cv2.convertScaleAbs(background.grey, newest.difference, gain)
         cv2.absdiff(newest.smooth, newest.difference, newest.difference)
         # medians, and averages of what is near them: cells and debris do not count
-        off = np.abs(levels - gain * background_levels)
-        noise = min(NORMAL_MAD * float(np.median(off)), NOISE_MAX)
-        size = _square(self.least_px2).shape
+        deviations = np.abs(levels - gain * background_levels)
+        noise = min(NORMAL_MAD * float(np.median(deviations)), NOISE_MAX)
+        square_px = _averaging_square(self.least_px2).shape
         border = cv2.BORDER_CONSTANT
-        cv2.boxFilter(newest.difference, cv2.CV_32F, size, newest.mean, borderType=border)
-        sample = _sparse(newest.mean)
+        cv2.boxFilter(newest.difference, cv2.CV_32F, square_px, newest.mean, borderType=border)
+        sample = _sample_pixels(newest.mean)
         highest_usual = np.median(sample) + max(USUAL_SPAN, noise)
         is_usual = sample <= highest_usual
         usual = sample[is_usual].astype(float)
         level = min(float(usual.mean()), NOISE_MAX)
-        spread = max(float(usual.std()), LEAST)
-        low = level + LOW * spread
-        high = level + HIGH * spread
-        newest.limits = SearchLimits(low, high, self.least_px2, self.most_px2)
-        np.greater(newest.mean, low, out=newest.mask)
+        spread = max(float(usual.std()), NOISE_STD_MIN)
+        low_limit = level + LOW_STDS * spread
+        high_limit = level + HIGH_STDS * spread
+        newest.limits = SearchLimits(low_limit, high_limit, self.least_px2, self.most_px2)
+        np.greater(newest.mean, low_limit, out=newest.mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
         is_newly_white = np.median(levels) == 255 and np.median(background_levels) < 255
-        lost = noise == NOISE_MAX or bool(is_newly_white)
+        is_lost = noise == NOISE_MAX or bool(is_newly_white)
         changed = cv2.countNonZero(newest.mask) / newest.mask.size
-        return Light(gain, noise, None, changed, lost, limit=high)
+        return Light(gain, noise, None, changed, is_lost, limit=high_limit)
 
-    def _blobs(self, newest: SearchArrays) -> list[Blob]:
-        """Return the blobs of the newest image, at most BLOBS, those of the largest regions first.
+    def _largest_blobs(self, newest: SearchArrays) -> list[Blob]:
+        """Find the BLOBS_MAX largest blobs of the newest image, the largest regions first.
 
         Regions whose bounding box is smaller than `least_px2` are left out.
         """
         large = [region for region in self.regions() if _box_px2(region) >= self.least_px2]
         large.sort(key=_box_px2, reverse=True)
         blobs: list[Blob] = []
-        for region in large[:BLOBS]:
-            blobs += _bodies(region, newest.difference, newest.mean, newest.limits)
-        return blobs[:BLOBS]
+        for region in large[:BLOBS_MAX]:
+            blobs += _find_bodies(region, newest.difference, newest.mean, newest.limits)
+        return blobs[:BLOBS_MAX]
 
     def regions(self) -> Sequence[np.ndarray]:
         """Return the contours of all regions of the newest image that show no background.
@@ -411,29 +442,29 @@ class BlobFinder:
         """
         blobs: list[Blob] = []
         for blob in candidates:
-            part = blob.part
-            now = self._newest.smooth[part].astype(np.float32) / gain
+            rectangle = blob.part
+            levels = self._newest.smooth[rectangle].astype(np.float32) / gain
             body = blob.body > 0
-            around = cv2.dilate(blob.body, _square(self.least_px2)) > 0
-            ring = around & (self._newest.mask[part] == 0)
-            fine = background.fine[part]
-            off_learned = gain * float(np.abs(now - background.learned[part])[body].mean())
-            if off_learned < self._newest.limits.low:
-                background.correct(part, around, now)
-            elif _is_ghost(now, fine, body, ring):
-                background.correct(part, around, now)
-                background.learned[part][around] = now[around]
+            neighbourhood = cv2.dilate(blob.body, _averaging_square(self.least_px2)) > 0
+            ring = neighbourhood & (self._newest.mask[rectangle] == 0)
+            background_levels = background.fine[rectangle]
+            mean_change = gain * float(np.abs(levels - background.learned[rectangle])[body].mean())
+            if mean_change < self._newest.limits.low:
+                background.correct(rectangle, neighbourhood, levels)
+            elif _is_ghost(levels, background_levels, body, ring):
+                background.correct(rectangle, neighbourhood, levels)
+                background.learned[rectangle][neighbourhood] = levels[neighbourhood]
             else:
                 blobs.append(blob)
         return blobs
 
-    def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
+    def follow(self, cell_rectangles: Sequence[tuple[int, int, int, int]]) -> None:
         """Update the next stripe of the background with the newest image, except around cells.
 
         If the background no longer applies, it is learned again.
 
         Args:
-            keep: Rectangles around the cells: left, top, right and bottom [px].
+            cell_rectangles: Rectangles around the cells: left, top, right and bottom [px].
         """
         assert self._background is not None, "learn() comes first"
         newest = self._newest
@@ -442,37 +473,38 @@ class BlobFinder:
         if top == rows_of_stripe.stop:  # a picture with fewer rows than stripes
             return
         calm = 1 - newest.mask[rows_of_stripe]
-        for left, upper, right, lower in keep:
-            rows = slice(max(0, upper - top), max(0, lower - top))
-            calm[rows, max(0, left) : max(0, right)] = 0
+        for left_px, top_px, right_px, bottom_px in cell_rectangles:
+            rows_of_cell = slice(max(0, top_px - top), max(0, bottom_px - top))
+            calm[rows_of_cell, max(0, left_px) : max(0, right_px)] = 0
         scaled = newest.smooth[rows_of_stripe].astype(np.float32) / self.light.gain
         self._background.update(rows_of_stripe, scaled, calm)
         self._relearn_if_lost()
 
     def _relearn_if_lost(self) -> None:
-        """Sample every EVERY-th image after more than LOST lost images in turn.
+        """Learn the background again if many images in a row are lost.
 
-        Once there are AGAIN samples, learn the background from them.
+        After LOST_IN_A_ROW_MAX lost images, every SAMPLED_STRIDE-th image is kept as a sample. The
+        background is learned from RELEARNING_SAMPLES samples.
         """
         newest = self._newest
-        if self._lost.in_turn > LOST and newest.stripe % EVERY == 0:
+        if self._lost.in_a_row > LOST_IN_A_ROW_MAX and newest.stripe % SAMPLED_STRIDE == 0:
             self._lost.sample.append(newest.smooth.copy())
-            if len(self._lost.sample) == AGAIN:
+            if len(self._lost.sample) == RELEARNING_SAMPLES:
                 self.learn(self._lost.sample)
 
 
 def _is_ghost(
-    now: NDArray[np.float32], background: NDArray[np.float32], body: Bools, ring: Bools
+    levels: NDArray[np.float32], background: NDArray[np.float32], body: Bools, ring: Bools
 ) -> bool:
     """Check whether a body is only in the background.
 
     A ghost looks like the unchanged ring around it now, but differs from the ring in the
-    background: there, the difference is at least GHOST times as large.
+    background: there, the difference is at least GHOST_RATIO times as large.
     """
-    level = background[ring].mean() if ring.any() else np.median(background)
-    off_now = float(np.abs(now - level)[body].mean())
-    off_background = float(np.abs(background - level)[body].mean())
-    return off_background >= GHOST * max(off_now, 1.0)
+    ring_level = background[ring].mean() if ring.any() else np.median(background)
+    contrast_now = float(np.abs(levels - ring_level)[body].mean())
+    contrast_in_background = float(np.abs(background - ring_level)[body].mean())
+    return contrast_in_background >= GHOST_RATIO * max(contrast_now, 1.0)
 
 
 class Box(NamedTuple):
@@ -495,15 +527,15 @@ def _box_px2(contour: np.ndarray) -> int:
     return wide * tall
 
 
-def _bodies(
-    region: np.ndarray, difference: Grey, mean: NDArray[np.float32], limits: SearchLimits
+def _find_bodies(
+    region: np.ndarray, difference: Grey, averages: NDArray[np.float32], limits: SearchLimits
 ) -> Iterator[Blob]:
     """Find the bodies in a region, in the order of decreasing difference from the background.
 
     Args:
         region: Contour of the region.
         difference: Absolute difference between the image and the background.
-        mean: The difference averaged over squares.
+        averages: The difference averaged over squares.
         limits: The limits of the search.
     """
     box = Box(*cv2.boundingRect(region))
@@ -511,30 +543,30 @@ def _bodies(
     cv2.drawContours(inside, [region], -1, 1, -1, offset=(-box.left, -box.top))
     if cv2.countNonZero(inside) < limits.least_px2:
         return
-    rest = mean[box.part] * inside
-    height_px, width_px = mean.shape
+    remaining = averages[box.part] * inside
+    height_px, width_px = averages.shape
     is_at_side = box.left == 0 or box.left + box.wide == width_px
     at_edge = is_at_side or box.top == 0 or box.top + box.tall == height_px
     least_peak = limits.high
-    for _ in range(BODIES):
-        _, peak, _, peak_at = cv2.minMaxLoc(rest)
+    for _ in range(BODIES_MAX):
+        _, peak, _, peak_at = cv2.minMaxLoc(remaining)
         if peak <= least_peak:
             return
-        least_peak = max(least_peak, NEXT * peak)
-        height = peak - limits.level
-        mask = _grey(rest > max(limits.low, limits.level + EDGE * height))
+        least_peak = max(least_peak, NEXT_PEAK_FRACTION * peak)
+        peak_height = peak - limits.level
+        mask = _to_grey(remaining > max(limits.low, limits.level + EDGE_FRACTION * peak_height))
         cv2.floodFill(mask, None, peak_at, 2)
-        body = _grey(mask == 2)
-        near = cv2.dilate(body, _square(limits.least_px2)) > 0
-        rest[near] = 0
+        body = _to_grey(mask == 2)
+        surroundings = cv2.dilate(body, _averaging_square(limits.least_px2)) > 0
+        remaining[surroundings] = 0
         body_px2 = cv2.countNonZero(body)
         if limits.least_px2 / 2 <= body_px2 <= limits.most_px2:  # a neighbour cuts a part off
-            rise = (difference[box.part] - limits.level) / height
-            weights = (np.clip(rise, *RAMP) - RAMP[0]) * near
-            yield _blob(body, weights, difference[box.part], box, at_edge)
+            rise = (difference[box.part] - limits.level) / peak_height
+            weights = (np.clip(rise, *WEIGHT_RAMP) - WEIGHT_RAMP[0]) * surroundings
+            yield _measure_blob(body, weights, difference[box.part], box, at_edge)
 
 
-def _blob(
+def _measure_blob(
     body: Grey, weights: NDArray[np.floating], difference: Grey, box: Box, at_edge: bool
 ) -> Blob:
     """Compute the ellipse with the same weighted moments as a body.
@@ -565,48 +597,48 @@ def _blob(
     )
 
 
-def _square(least_px2: float) -> Grey:
+def _averaging_square(least_px2: float) -> Grey:
     """Return the square over which differences are averaged.
 
     Its side is an odd number of pixels.
     """
-    return np.ones((2 * int(BOX * math.sqrt(least_px2) / 2) + 1,) * 2, np.uint8)
+    return np.ones((2 * int(SQUARE_SIDE * math.sqrt(least_px2) / 2) + 1,) * 2, np.uint8)
 
 
-def _blurred(picture: np.ndarray, between: np.ndarray, into: np.ndarray) -> None:
+def _blur(picture: np.ndarray, buffer: np.ndarray, out: np.ndarray) -> None:
     """Blur an image with two box filters, which is four times as fast as a Gaussian filter.
 
     The result is close to a Gaussian blur with a standard deviation of 1.15 px.
 
     Args:
         picture: The image.
-        between: A buffer.
-        into: Filled with the result.
+        buffer: A buffer.
+        out: Filled with the result.
     """
-    cv2.blur(picture, (3, 3), between)
-    cv2.blur(between, (3, 3), into)
+    cv2.blur(picture, (3, 3), buffer)
+    cv2.blur(buffer, (3, 3), out)
 
 
-def _sparse(picture: np.ndarray) -> np.ndarray:
+def _sample_pixels(picture: np.ndarray) -> np.ndarray:
     """Return every n-th pixel of an image, for statistics."""
-    step = max(8, picture.shape[0] // SPARSE)
+    step = max(8, picture.shape[0] // SAMPLED_ROWS)
     return picture[::step, ::step]
 
 
-def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
+def _median_image(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
     """Compute the median of images, each multiplied by its gain. It uses little memory."""
     median = np.empty(pictures[0].shape, np.float32)
-    tall = max(1, min(SPARSE, ROWS_PX // median[0].size))
-    for top in range(0, len(median), tall):
-        part = slice(top, top + tall)
-        rows = [
-            g * picture[part].astype(np.float32) for picture, g in zip(pictures, gains, strict=True)
+    rows_at_once = max(1, min(SAMPLED_ROWS, ROWS_PX // median[0].size))
+    for top in range(0, len(median), rows_at_once):
+        band = slice(top, top + rows_at_once)
+        scaled = [
+            g * picture[band].astype(np.float32) for picture, g in zip(pictures, gains, strict=True)
         ]
-        np.median(rows, axis=0, out=median[part], overwrite_input=True)
+        np.median(scaled, axis=0, out=median[band], overwrite_input=True)
     return median
 
 
-def _grey(picture: np.ndarray) -> Grey:
+def _to_grey(picture: np.ndarray) -> Grey:
     """Convert an image to 8-bit grey levels.
 
     Fractions are cut off, and the range is not checked.

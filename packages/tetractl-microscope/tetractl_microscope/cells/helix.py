@@ -174,19 +174,19 @@ class HelixFilter:
     mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
-    _new: NewCell = field(init=False)
-    _field: Floats | None = None  # the last piece
+    _new_cell: NewCell = field(init=False)
+    _last_piece: Floats | None = None  # the last piece
 
     def __post_init__(self) -> None:
         """Run each compiled kernel once, so that no image has to wait for a compilation."""
-        self._new = new_cell(self.organism, self.field_known)
+        self._new_cell = new_cell(self.organism, self.field_known)
         self.add(0.0, 0.0, 0.0, 0.0)
         self.predict([(1.0, 0.0, 0.0)])
         only_row = np.zeros(1, int)
         self.update(only_row, np.zeros((1, 3)), np.ones((1, 3)))
         self.expected(only_row)
         self.drop(0)
-        self._field = None
+        self._last_piece = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
         """Add a new cell.
@@ -200,9 +200,9 @@ class HelixFilter:
         Returns:
             The row of the cell.
         """
-        row = self._free()
-        self.mean[row] = self._new.mean
-        self.covariance[row] = self._new.covariance
+        row = self._reserve_row()
+        self.mean[row] = self._new_cell.mean
+        self.covariance[row] = self._new_cell.covariance
         self.mean[row, [X, Y, HEADING, SPEED]] = x, y, heading, speed
         return row
 
@@ -211,10 +211,10 @@ class HelixFilter:
 
         If no row is free, the arrays grow and are replaced.
         """
-        new = self._free()
-        self.mean[new] = self.mean[row]
-        self.covariance[new] = self.covariance[row]
-        return new
+        copy = self._reserve_row()
+        self.mean[copy] = self.mean[row]
+        self.covariance[copy] = self.covariance[row]
+        return copy
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
         """Copy a cell to a free row, and move the copy to another pose.
@@ -230,12 +230,14 @@ class HelixFilter:
         Returns:
             The row of the copy.
         """
-        new = self.copied(row)
-        pose = [X, Y, HEADING, C, S]
-        self.mean[new, pose] = x, y, heading, 0.0, 0.0
-        self.covariance[new, pose, :] = self.covariance[new, :, pose] = 0.0
-        self.covariance[new, pose, pose] = self._new.covariance[pose, pose]
-        return new
+        copy = self.copied(row)
+        pose_states = [X, Y, HEADING, C, S]
+        self.mean[copy, pose_states] = x, y, heading, 0.0, 0.0
+        self.covariance[copy, pose_states, :] = self.covariance[copy, :, pose_states] = 0.0
+        self.covariance[copy, pose_states, pose_states] = self._new_cell.covariance[
+            pose_states, pose_states
+        ]
+        return copy
 
     def drop(self, row: int) -> None:
         """Remove a cell: its row becomes free."""
@@ -247,12 +249,12 @@ class HelixFilter:
         Each piece has its duration [s], x and y. Nothing happens if there are none.
         """
         if pieces:
-            field = np.array(pieces, np.float64)
+            field_pieces = np.array(pieces, np.float64)
             walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
-            before = field[0] if self._field is None else self._field
+            previous_piece = field_pieces[0] if self._last_piece is None else self._last_piece
             rows = self.mean, self.covariance, self.used
-            helix_steps.predict(*rows, self._new.model, walled, before, field)
-            self._field = field[-1]
+            helix_steps.predict(*rows, self._new_cell.model, walled, previous_piece, field_pieces)
+            self._last_piece = field_pieces[-1]
 
     def loosen(self, rows: Sequence[int]) -> None:
         """Make cells that moved unexpectedly about as uncertain as new cells.
@@ -260,7 +262,7 @@ class HelixFilter:
         The initial variances of position, heading, speed, c and s are added to their covariances.
         """
         for row in rows:
-            self.covariance[row, :RATE, :RATE] += self._new.covariance[:RATE, :RATE]
+            self.covariance[row, :RATE, :RATE] += self._new_cell.covariance[:RATE, :RATE]
 
     def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
         """Predict the measurements of cells' bodies.
@@ -274,9 +276,9 @@ class HelixFilter:
         """
         bodies = np.empty((len(rows), 3))
         slopes = np.empty((len(rows), 3, STATES))
-        helix_steps.expected(self.mean, rows, self._new.model[SLOWEST], bodies, slopes)
-        places = slopes[:, :2]
-        return bodies, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
+        helix_steps.expected(self.mean, rows, self._new_cell.model[SLOWEST], bodies, slopes)
+        position_slopes = slopes[:, :2]
+        return bodies, position_slopes @ self.covariance[rows] @ position_slopes.transpose(0, 2, 1)
 
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
@@ -298,7 +300,7 @@ class HelixFilter:
             self.mean,
             self.covariance,
             rows,
-            self._new.model,
+            self._new_cell.model,
             np.ascontiguousarray(measured),
             np.ascontiguousarray(deviation),
             likelihood,
@@ -306,7 +308,7 @@ class HelixFilter:
         )
         return likelihood, distance
 
-    def _free(self) -> int:
+    def _reserve_row(self) -> int:
         """Reserve a free row and return its index. If there is none, the arrays grow by 16 rows."""
         if self.used.all():
             self.mean = np.concatenate([self.mean, np.zeros((16, STATES))])

@@ -6,44 +6,64 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-SIDE = 512  # largest side of the pictures whose shift is computed [px]
-LEAST = 0.5  # least shift that counts, in pixels of these pictures
-MOST = 0.3  # largest, in sides of the picture
-PLAIN = 31  # side of the square whose mean is subtracted [px]
-STANDS_OUT = 6.0  # least difference from it, in medians of the differences
-LEFT = 0.85  # fraction of changed pixels that may be left if pictures are shifted
+SIDE_MAX_PX = 512
+"""Maximum side of the reduced images whose shift is computed [px]."""
+SHIFT_MIN_PX = 0.5
+"""Minimum shift that counts [px of the reduced images]."""
+SHIFT_MAX_FRACTION = 0.3
+"""Maximum shift that counts, as a fraction of the shorter side of the image."""
+MEAN_SQUARE_PX = 31
+"""Side of the square whose mean is subtracted from each pixel [px of the reduced images]."""
+FEATURE_MEDIANS = 6.0
+"""Minimum deviation from this mean that counts as a feature, in medians of the deviations."""
+LEFT_FRACTION_MAX = 0.85
+"""Maximum fraction of the changed pixels that a shift may leave unexplained."""
 
 
-def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
+def shift_of(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
     """Find by how many columns and rows the content of a grey image was shifted.
 
-    The result is (0, 0) unless a shift explains a part of the difference between the two images.
+    Args:
+        previous: The image before.
+        newest: The image after the shift, of the same shape.
+
+    Returns:
+        The shift [px]: columns to the right, rows down. It is (0, 0) unless a shift explains a part
+        of the difference between the two images.
     """
-    scale = min(1.0, SIDE / max(now.shape))
-    if round(scale * min(now.shape)) < PLAIN:
+    scale = min(1.0, SIDE_MAX_PX / max(newest.shape))
+    if round(scale * min(newest.shape)) < MEAN_SQUARE_PX:
         return 0.0, 0.0
-    even_before, even_now = (_even(picture, scale) for picture in (before, now))
-    window = cv2.createHanningWindow(even_before.shape[::-1], cv2.CV_32F)
-    (x, y), _ = cv2.phaseCorrelate(_features(even_before), _features(even_now), window)
-    far = max(abs(x), abs(y))
-    if math.hypot(x, y) < LEAST or not far < MOST * min(even_before.shape):
+    flat_previous, flat_newest = (_flatten(picture, scale) for picture in (previous, newest))
+    window = cv2.createHanningWindow(flat_previous.shape[::-1], cv2.CV_32F)
+    (x, y), _ = cv2.phaseCorrelate(_features(flat_previous), _features(flat_newest), window)
+    shift_max = max(abs(x), abs(y))
+    if math.hypot(x, y) < SHIFT_MIN_PX or not shift_max < SHIFT_MAX_FRACTION * min(
+        flat_previous.shape
+    ):
         return 0.0, 0.0
-    apart = cv2.absdiff(even_before, even_now)
-    remaining = cv2.absdiff(moved(even_before, (x, y)), even_now)
-    changed = max(STANDS_OUT * float(np.median(apart)), 8.0)
-    shared = _both(y, even_before.shape[0]), _both(x, even_before.shape[1])
-    counts = [np.count_nonzero(difference[shared] > changed) for difference in (apart, remaining)]
-    return (x / scale, y / scale) if counts[1] < LEFT * counts[0] else (0.0, 0.0)
+    differences = cv2.absdiff(flat_previous, flat_newest)
+    remaining = cv2.absdiff(moved(flat_previous, (x, y)), flat_newest)
+    changed = max(FEATURE_MEDIANS * float(np.median(differences)), 8.0)
+    common_part = (
+        _common_pixels(y, flat_previous.shape[0]),
+        _common_pixels(x, flat_previous.shape[1]),
+    )
+    counts = [
+        np.count_nonzero(difference[common_part] > changed)
+        for difference in (differences, remaining)
+    ]
+    return (x / scale, y / scale) if counts[1] < LEFT_FRACTION_MAX * counts[0] else (0.0, 0.0)
 
 
-def _both(shift: float, size: int) -> slice:
+def _common_pixels(shift: float, size: int) -> slice:
     """Return the pixels along one axis that an image shows both before and after a shift [px].
 
     They are counted in the image after the shift.
     """
-    begin = max(0, math.ceil(shift))
-    end = size + min(0, math.floor(shift))
-    return slice(begin, end)
+    first = max(0, math.ceil(shift))
+    last = size + min(0, math.floor(shift))
+    return slice(first, last)
 
 
 def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
@@ -53,22 +73,22 @@ def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
     """
     if shift == (0.0, 0.0):
         return picture
-    by = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    transform = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     size = picture.shape[1], picture.shape[0]
-    return cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _even(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
-    """Scale an image, and remove what changes slowly across it, such as uneven light."""
+def _flatten(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
+    """Scale an image, and remove slow changes of brightness across it, such as uneven light."""
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    even = np.asarray(small, np.float32)
-    return even - cv2.blur(even, (PLAIN, PLAIN))
+    flat = np.asarray(small, np.float32)
+    return flat - cv2.blur(flat, (MEAN_SQUARE_PX, MEAN_SQUARE_PX))
 
 
-def _features(even: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the features that stand out of an even image, reduced by the threshold.
+def _features(flat: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Extract the features of a flattened image: deviations above a threshold, reduced by it.
 
     Everything that stands out less, such as noise and fixed patterns, becomes 0.
     """
-    least = STANDS_OUT * float(np.median(np.abs(even[::4, ::4])))
-    return even - np.clip(even, -least, least)
+    threshold = FEATURE_MEDIANS * float(np.median(np.abs(flat[::4, ::4])))
+    return flat - np.clip(flat, -threshold, threshold)

@@ -44,16 +44,20 @@ from tetractl_microscope.cells.readings import (
 )
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
-AREAS_MOST = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
+BLOB_AREAS_MAX = 3.2  # maximum area of a blob, in areas of a large cell, because cells may touch
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported any more
 LOST_S = 0.5  # time without a blob after which a cell is lost
-# the same near the picture's edge, which a cell has left by then, and for a cell that has just
-# begun; for Tetrahymena, and longer for slower organisms
+# the same near the edge of the image, where the cell has probably left, and for a new cell; this is
+# the time for Tetrahymena, and it is longer for slower organisms
 LOST_SOON_S = 0.1
-NEAR_EDGE = 0.4  # distance to the picture's edge that counts as near, in lengths of the cell
-NEW = 1.15  # way that a cell has swum before it is new no more [lengths]
-REACH = 0.8  # reach about a cell in which the background is not updated, in lengths of the cell
-REACH_PX = 4  # what is added to that reach [px]
+NEAR_EDGE_LENGTHS = (
+    0.4  # distance to the picture's edge that counts as near, in lengths of the cell
+)
+NEW_CELL_LENGTHS = 1.15  # distance that a new cell must swim to be accepted [body lengths]
+REACH_LENGTHS = (
+    0.8  # half side of the square around a cell without background updates [cell lengths]
+)
+REACH_PX = 4  # margin that is added to this half side [px]
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
 """Function that returns the field between two times [s] as pieces of constant field."""
@@ -95,7 +99,7 @@ class CellTracker:
         organism: Organism = TETRAHYMENA,
     ) -> None:
         least_um2 = organism.wide_um[0] * organism.body_um[1]
-        most_um2 = AREAS_MOST * organism.outline_um2[1]
+        most_um2 = BLOB_AREAS_MAX * organism.outline_um2[1]
         self.um_px = um_px
         self.finder = BlobFinder(least_um2 / um_px**2, most_um2 / um_px**2)
         self.answers: Sequence[CellAnswer] = ()  # to questions that the newest picture decided
@@ -123,8 +127,8 @@ class CellTracker:
         Returns:
             The estimates of all cells that were seen recently.
         """
-        now = self._now(picture, seconds)
-        self._predict(now, field)
+        now = self._describe_picture(picture, seconds)
+        self._predict_cells(now, field)
         blobs = self._find_blobs(picture)
         groups, free = self._assign_blobs(blobs, now)
         self._update_cells(groups, now)
@@ -132,15 +136,15 @@ class CellTracker:
         for cell in self._newcomers.follow(free, self._cells, now):
             bisect.insort(self._cells, cell, key=lambda cell: cell.number)
         self._end_cells(now)
-        self.finder.follow(self._surroundings(now))
+        self.finder.follow(self._cell_rectangles(now))
         self._seconds = seconds
         self.answers = self._names.take_answers()
         hidden_s = max(HIDDEN_S, now.brief_s)
-        return self._shown([cell for cell in self._cells if cell.missed_s < hidden_s])
+        return self._estimates([cell for cell in self._cells if cell.missed_s < hidden_s])
 
     # ---- step 1: cells are predicted, and blobs found ----
 
-    def _now(self, picture: Grey, seconds: float) -> PictureNow:
+    def _describe_picture(self, picture: Grey, seconds: float) -> PictureNow:
         """Describe the newest image: its time, the time since the previous one, and its size.
 
         That time is 0 for the first image.
@@ -149,7 +153,7 @@ class CellTracker:
         passed_s = 0.0 if self._seconds is None else seconds - self._seconds
         return PictureNow(seconds, passed_s, self.um_px, height, width)
 
-    def _predict(self, now: PictureNow, field: FieldPieces) -> None:
+    def _predict_cells(self, now: PictureNow, field: FieldPieces) -> None:
         """Predict the states of the cells from the previous image to the newest.
 
         Nothing is predicted for the first image.
@@ -202,20 +206,20 @@ class CellTracker:
         for cell, blob, is_away in zip(cells, assignment.of_cells, costs.is_away, strict=True):
             if blob is not None and is_away[blob]:
                 self.bank.loosen([cell.row])
-        seen = [TrackBlob(index, blob, places[index]) for index, blob in enumerate(blobs)]
-        groups = self._give_cells(assignment.of_cells, seen, expected, now)
-        return groups, self._give_specks(assignment, seen, now)
+        track_blobs = [TrackBlob(index, blob, places[index]) for index, blob in enumerate(blobs)]
+        groups = self._give_cells(assignment.of_cells, track_blobs, expected, now)
+        return groups, self._give_specks(assignment, track_blobs, now)
 
     def _give_cells(
         self,
         blob_of: Sequence[int | None],
-        seen: Sequence[TrackBlob],
+        track_blobs: Sequence[TrackBlob],
         expected: Floats,
         now: PictureNow,
     ) -> list[CellsInBlob]:
         """Give the cells their blobs, and return each blob together with its cells.
 
-        `blob_of` holds the index in `seen` of each cell's blob.
+        `blob_of` holds the index in `track_blobs` of each cell's blob.
         """
         cells_of: dict[int, list[int]] = {}
         for i, blob in enumerate(blob_of):
@@ -226,7 +230,7 @@ class CellTracker:
                 cells_of.setdefault(blob, []).append(i)
         groups = list[CellsInBlob]()
         for blob, indices in cells_of.items():
-            newest = seen[blob]
+            newest = track_blobs[blob]
             newest.is_shared = len(indices) > 1
             cells = [self._cells[i] for i in indices]
             for cell in cells:
@@ -236,24 +240,24 @@ class CellTracker:
         return groups
 
     def _give_specks(
-        self, assignment: match.Assignment, seen: Sequence[TrackBlob], now: PictureNow
+        self, assignment: match.Assignment, track_blobs: Sequence[TrackBlob], now: PictureNow
     ) -> list[FreeBlob]:
         """Give the specks their blobs, and return all blobs without a cell.
 
         A returned blob has its speck, or None if it is a new one. A speck without a blob
         has been missed for the time since the previous image.
         """
-        speck_of = {}
+        speck_by_blob = {}
         for speck, blob in zip(self._newcomers.specks, assignment.of_specks, strict=True):
             if blob is None:
                 speck.missed_s += now.passed_s
             else:
                 speck.missed_s = 0.0
-                speck_of[blob] = speck
+                speck_by_blob[blob] = speck
         with_cells = set(assignment.of_cells)
         return [
-            FreeBlob(blob, speck_of.get(blob.index))
-            for blob in seen
+            FreeBlob(blob, speck_by_blob.get(blob.index))
+            for blob in track_blobs
             if blob.index not in with_cells
         ]
 
@@ -267,11 +271,11 @@ class CellTracker:
         """
         for group in groups:
             if group.newest.is_shared:
-                self._meet(group.cells, now)
+                self._note_meeting(group.cells, now)
         for group in groups:
             if not group.newest.is_shared:
                 self._note_own(group.cells[0], group.newest, now)
-        readings = [reading for group in groups for reading in self._readings(group, now)]
+        readings = [reading for group in groups for reading in self._measure_cells(group, now)]
         update_filter(self.bank, readings, now.seconds, self.bank.organism.body_um[0])
         for reading in readings:
             if not reading.newest.is_shared:
@@ -287,9 +291,9 @@ class CellTracker:
         # at the picture's edge, a cell that enters may take the blob of one that leaves
         is_cut = newest.blob.at_edge and not cell.is_new
         if (newest.is_large or is_cut) and cell.question is None:
-            self._meet([cell], now)
+            self._note_meeting([cell], now)
 
-    def _readings(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
+    def _measure_cells(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
         """Convert a blob to the measurements of its cells."""
         body_um = self.bank.organism.body_um[0]
         if group.newest.is_shared:
@@ -300,7 +304,7 @@ class CellTracker:
 
     # ---- step 4: which cell is which ----
 
-    def _meet(self, cells: Sequence[CellTrack], now: PictureNow) -> None:
+    def _note_meeting(self, cells: Sequence[CellTrack], now: PictureNow) -> None:
         """Record that cells are not distinguished, and whether an unknown object may join them."""
         self._names.meet(cells, now.seconds, any(self._may_join(cell, now) for cell in cells))
 
@@ -324,7 +328,7 @@ class CellTracker:
         self._names.part(places, self._newcomers.awaited(), now.seconds)
         self._names.answer(now.seconds)
 
-    # ---- step 6: cells that end ----
+    # ---- step 6: cells are dropped ----
 
     def _end_cells(self, now: PictureNow) -> None:
         """Drop cells that have not been seen for long, have left the image, or do not swim.
@@ -333,18 +337,18 @@ class CellTracker:
         needs. Cells that have swum far enough are no longer new.
         """
         organism = self.bank.organism
-        slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s
+        slowest_s = NEW_CELL_LENGTHS * organism.body_um[0] / organism.slowest_um_s
         remaining = list[CellTrack]()
         for cell in self._cells:
             x, y = self.bank.mean[cell.row, :2].tolist()
-            at_edge = now.to_edge(x, y) < NEAR_EDGE * cell.size.long
+            at_edge = now.to_edge(x, y) < NEAR_EDGE_LENGTHS * cell.size.long
             lost_s = max(LOST_S, now.brief_s)
             if at_edge or cell.is_new:
                 lost_s = LOST_SOON_S / organism.quickness
             is_lost = cell.missed_s > lost_s
             has_swum = self._has_swum(cell)
-            stays = not has_swum and now.seconds - cell.began_s > slowest_s
-            if is_lost or stays or not math.isfinite(x + y):
+            does_not_swim = not has_swum and now.seconds - cell.began_s > slowest_s
+            if is_lost or does_not_swim or not math.isfinite(x + y):
                 self._names.give_up(cell)
                 continue
             remaining.append(cell)
@@ -353,18 +357,18 @@ class CellTracker:
         self._cells = remaining
 
     def _has_swum(self, cell: CellTrack) -> bool:
-        """Check whether a cell has swum farther than NEW body lengths, and so is no longer new.
+        """Check whether a cell has swum farther than NEW_CELL_LENGTHS, and so is no longer new.
 
         A cell stays so once it has.
         """
         if cell.start is None:
             return True
-        way_um = math.dist(cell.last.tolist(), cell.start.tolist())
-        return way_um > NEW * self.bank.organism.body_um[0]
+        distance_um = math.dist(cell.last.tolist(), cell.start.tolist())
+        return distance_um > NEW_CELL_LENGTHS * self.bank.organism.body_um[0]
 
-    # ---- what is said of the cells ----
+    # ---- results ----
 
-    def _surroundings(self, now: PictureNow) -> list[tuple[int, int, int, int]]:
+    def _cell_rectangles(self, now: PictureNow) -> list[tuple[int, int, int, int]]:
         """Return rectangles around the cells in which the background is not updated.
 
         Each is left, top, right and bottom [px].
@@ -372,7 +376,7 @@ class CellTracker:
         states = self.bank.mean[[cell.row for cell in self._cells]]
         rectangles = list[tuple[int, int, int, int]]()
         for cell, (column, row) in zip(self._cells, now.pixels_of(states).tolist(), strict=True):
-            reach_px = REACH * cell.size.long / self.um_px + REACH_PX
+            reach_px = REACH_LENGTHS * cell.size.long / self.um_px + REACH_PX
             first_column = round(column - reach_px)
             last_column = round(column + reach_px)
             first_row = round(row - reach_px)
@@ -380,7 +384,7 @@ class CellTracker:
             rectangles.append((first_column, first_row, last_column, last_row))
         return rectangles
 
-    def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
+    def _estimates(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         """Return the estimates of cells in the newest image, in the order of `cells`.
 
         A cell without a blob in this image has its predicted place.
@@ -390,12 +394,12 @@ class CellTracker:
         means = self.bank.mean[rows]
         sds = np.sqrt(np.diagonal(self.bank.covariance[rows], axis1=1, axis2=2))
         probabilities = self._names.probabilities(cells)
-        said = list[SeenCell]()
+        seen_cells = list[SeenCell]()
         for i, cell in enumerate(cells):
             x, y, axis = places[i].tolist()
             newest = cell.newest
             shows_others = newest is not None and (newest.is_shared or newest.is_large)
-            said.append(
+            seen_cells.append(
                 SeenCell(
                     identity=cell.identity,
                     track=cell.number,
@@ -413,4 +417,4 @@ class CellTracker:
                     blob_um=None if newest is None else newest.whole_place,
                 ).on_blob()
             )
-        return said
+        return seen_cells

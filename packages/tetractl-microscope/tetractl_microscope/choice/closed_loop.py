@@ -5,20 +5,21 @@ turning rate a and speed, are normal variables with a joint covariance: P of e, 
 the variances of q (`Uncertainty`). For each signal, from first to last,
 
 1. the controller measures the deviation, with noise propagated to the end, and corrects it by the
-   remaining signals (`_corrected`): for a deviation of covariance P, measured with noise M, the
-   correction is the fraction C = R (R + P + M)^-1, which leaves
+   remaining signals (`_after_correction`): for a deviation of covariance P, measured with noise M,
+   the correction is the fraction C = R (R + P + M)^-1, which leaves
 
        P <- (1 - C) P (1 - C)' + C M C',     X <- (1 - C) X
 
    R is the covariance of the final positions if every remaining signal varies with the standard
-   deviation TURN, and the stop comes a signal earlier or later;
-2. the robots move (`_moved`): with the derivatives D (2N, 2N) of the ends with respect to q during
-   this signal alone, and W that of the heading's random walk, of variance w,
+   deviation SIGNAL_STD_RAD, and the stop comes a signal earlier or later;
+2. the robots move (`_after_motion`): with the derivatives D (2N, 2N) of the ends with respect to q
+   during this signal alone, and W that of the heading's random walk, of variance w,
 
        P <- P + D Q D' + D X' + X D' + w W W',     X <- X + D Q,     Q = diag(variances of q)
 
-3. a controller that identifies turning rate and speed plans with its estimates (`_identified`),
-   which improve with every measurement: with the information I of this signal (`information`),
+3. a controller that identifies turning rate and speed plans with its estimates
+   (`_after_identification`), which improve with every measurement: with the information I of this
+   signal (`information`),
 
        S = (1 + Q I)^-1,     Q <- Q S,     X <- X sqrt(S)
 
@@ -95,14 +96,14 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
     path = predict(problem, signals)
     seconds = np.full(length, problem.period)
     seconds[0] = problem.first_period
-    of_steps = _step_derivatives(problem, path[:-1, :, 2], signals, seconds)
-    step_by_heading, step_by_signal, step_by_a, step_by_speed = of_steps
+    step_derivatives = _step_derivatives(problem, path[:-1, :, 2], signals, seconds)
+    step_by_heading, step_by_signal, step_by_a, step_by_speed = step_derivatives
 
     # g_j, backwards in time
     by_heading = np.zeros((length + 1, robots, 2))
     for j in reversed(range(length)):
-        turned = by_heading[j + 1] * step_by_heading[j, :, 2:]
-        by_heading[j] = step_by_heading[j, :, :2] + turned
+        through_turn = by_heading[j + 1] * step_by_heading[j, :, 2:]
+        by_heading[j] = step_by_heading[j, :, :2] + through_turn
     later = by_heading[1:]
 
     def of_ends(of_step: Floats) -> Floats:
@@ -150,19 +151,19 @@ def _step_derivatives(
     return derivatives
 
 
-TURN = float(np.pi / np.sqrt(3))
+SIGNAL_STD_RAD = float(np.pi / np.sqrt(3))
 """Standard deviation of a signal uniform in [-pi, pi] [rad]."""
-SURE = 1e-8
+VARIANCE_MIN = 1e-8
 """Minimum variance of a measured turn [rad^2] and of a relative path length.
 
 An exact measurement would give infinite information.
 """
-REGULAR = 1e-12
+REGULARISATION = 1e-12
 """Amount added to R + P + M, relative to the sum of their diagonals.
 
 For robots that stand still, these matrices are singular.
 """
-REGULAR_MIN = 1e-30
+REGULARISATION_MIN = 1e-30
 """Minimum value that is added [length unit^2]."""
 
 
@@ -233,53 +234,76 @@ def end_covariance(
         The covariance of x_1, y_1, x_2, ..., shape (2N, 2N) [length unit^2].
     """
     robots = len(plan.miss)
-    none = np.zeros((2 * robots, 2 * robots))
+    zeros = np.zeros((2 * robots, 2 * robots))
     of_parameters = np.repeat([noise.a_std**2, noise.speed_std**2], robots)
-    now = Uncertainty(ends=none, cross=none, parameters=of_parameters)
-    for k in range(len(plan.seconds)):
+    uncertainty = Uncertainty(ends=zeros, cross=zeros, parameters=of_parameters)
+    for signal in range(len(plan.seconds)):
         if corrects:
-            now = _corrected(now, plan, noise, k)
-        now = _moved(now, plan, noise, k)
+            uncertainty = _after_correction(uncertainty, plan, noise, signal)
+        uncertainty = _after_motion(uncertainty, plan, noise, signal)
         if identifies:
-            now = _identified(now, plan, noise, k)
-    return now.ends
+            uncertainty = _after_identification(uncertainty, plan, noise, signal)
+    return uncertainty.ends
 
 
-def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
+def _after_correction(
+    uncertainty: Uncertainty, plan: Linear, noise: Noise, signal: int
+) -> Uncertainty:
     """Update the uncertainty for a correction by signals k, k + 1, ... (step 1 of the module)."""
-    p = before.ends
-    eye = np.eye(len(p))
-    ways_to_correct = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
-    r = ways_to_correct @ ways_to_correct.T
-    m = noise.position_std**2 * eye + noise.heading_std**2 * _blocks(plan.by_heading[k])
-    size = np.trace(r) + np.trace(p) + np.trace(m)
-    regular = max(REGULAR * size, REGULAR_MIN) * eye
-    remains = eye - np.linalg.solve(r + p + m + regular, r).T  # 1 - C
-    corrected = eye - remains
+    ends_covariance = uncertainty.ends
+    eye = np.eye(len(ends_covariance))
+    correction_effects = np.hstack([SIGNAL_STD_RAD * plan.by_signal[:, signal:], plan.onward])
+    correctable = correction_effects @ correction_effects.T
+    measurement = noise.position_std**2 * eye + noise.heading_std**2 * _block_diagonal(
+        plan.by_heading[signal]
+    )
+    trace_sum = np.trace(correctable) + np.trace(ends_covariance) + np.trace(measurement)
+    regularisation = max(REGULARISATION * trace_sum, REGULARISATION_MIN) * eye
+    remaining_factor = (
+        eye
+        - np.linalg.solve(
+            correctable + ends_covariance + measurement + regularisation, correctable
+        ).T
+    )  # 1 - C
+    corrected_factor = eye - remaining_factor
     return Uncertainty(
-        ends=remains @ p @ remains.T + corrected @ m @ corrected.T,
-        cross=remains @ before.cross,
-        parameters=before.parameters,
+        ends=remaining_factor @ ends_covariance @ remaining_factor.T
+        + corrected_factor @ measurement @ corrected_factor.T,
+        cross=remaining_factor @ uncertainty.cross,
+        parameters=uncertainty.parameters,
     )
 
 
-def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
+def _after_motion(uncertainty: Uncertainty, plan: Linear, noise: Noise, signal: int) -> Uncertainty:
     """Update the uncertainty for the robots' motion during signal k (step 2 of the module)."""
-    d = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])
-    variances = before.parameters
-    ends = before.ends + d @ (variances[:, None] * d.T) + d @ before.cross.T + before.cross @ d.T
-    middle = (plan.by_heading[k] + plan.by_heading[k + 1]) / 2
-    walk = noise.heading_walk**2 * plan.seconds[k] * _blocks(middle)
-    return Uncertainty(ends + walk, before.cross + d * variances, variances)
+    derivatives = np.hstack(
+        [_stack_in_columns(plan.by_a[signal]), _stack_in_columns(plan.by_speed[signal])]
+    )
+    variances = uncertainty.parameters
+    ends = (
+        uncertainty.ends
+        + derivatives @ (variances[:, None] * derivatives.T)
+        + derivatives @ uncertainty.cross.T
+        + uncertainty.cross @ derivatives.T
+    )
+    middle = (plan.by_heading[signal] + plan.by_heading[signal + 1]) / 2
+    walk = noise.heading_walk**2 * plan.seconds[signal] * _block_diagonal(middle)
+    return Uncertainty(ends + walk, uncertainty.cross + derivatives * variances, variances)
 
 
-def _identified(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
+def _after_identification(
+    uncertainty: Uncertainty, plan: Linear, noise: Noise, signal: int
+) -> Uncertainty:
     """Update the uncertainty for the identification of a and speed (step 3 of the module)."""
-    share = 1 / (1 + before.parameters * information(plan, noise, k))  # S
-    return Uncertainty(before.ends, before.cross * np.sqrt(share), before.parameters * share)
+    remaining_fraction = 1 / (1 + uncertainty.parameters * information(plan, noise, signal))  # S
+    return Uncertainty(
+        uncertainty.ends,
+        uncertainty.cross * np.sqrt(remaining_fraction),
+        uncertainty.parameters * remaining_fraction,
+    )
 
 
-def information(plan: Linear, noise: Noise, k: int) -> Floats:
+def information(plan: Linear, noise: Noise, signal: int) -> Floats:
     """Compute the information about turning rates and speeds from the measurements of one signal.
 
     The parameters are estimated from the headings and positions measured before and after the
@@ -288,15 +312,19 @@ def information(plan: Linear, noise: Noise, k: int) -> Floats:
     Args:
         plan: The linearised plan.
         noise: The noise of the robots and the camera.
-        k: Index of the signal.
+        signal: Index of the signal.
 
     Returns:
         1/variance of ln a of each robot, then of ln speed, shape (2N,).
     """
-    turn_variance = 2 * noise.heading_std**2 + noise.heading_walk**2 * plan.seconds[k] + SURE
-    of_a = plan.turn_by_a[k] ** 2 / turn_variance
-    path_squared = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
-    path_variance = np.maximum(2 * noise.position_std**2, SURE * path_squared)
+    turn_variance = (
+        2 * noise.heading_std**2 + noise.heading_walk**2 * plan.seconds[signal] + VARIANCE_MIN
+    )
+    of_a = plan.turn_by_a[signal] ** 2 / turn_variance
+    path_squared = np.square(plan.by_speed[signal]).sum(
+        axis=1
+    )  # a path is proportional to the speed
+    path_variance = np.maximum(2 * noise.position_std**2, VARIANCE_MIN * path_squared)
     of_speed = np.zeros_like(path_squared)
     np.divide(path_squared, path_variance, out=of_speed, where=path_variance > 0)
     return np.concatenate([of_a, of_speed])
@@ -316,7 +344,7 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     Returns:
         The mean distances, shape (N,) [length unit].
     """
-    variances = np.linalg.eigvalsh(of_each(covariance))  # (N, 2), ascending
+    variances = np.linalg.eigvalsh(covariance_of_each_robot(covariance))  # (N, 2), ascending
     smaller, larger = np.maximum(variances, 0.0).T
     roundness = np.ones_like(miss)
     np.divide(smaller, larger, out=roundness, where=larger > 0)
@@ -324,14 +352,14 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     return np.hypot(length, miss)
 
 
-def of_each(covariance: Floats) -> Floats:
+def covariance_of_each_robot(covariance: Floats) -> Floats:
     """Extract each robot's covariance (N, 2, 2) from the joint covariance (2N, 2N)."""
     count = len(covariance) // 2
     robots = np.arange(count)
     return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]
 
 
-def _columns(vectors: Floats) -> Floats:
+def _stack_in_columns(vectors: Floats) -> Floats:
     """Arrange vectors (N, 2) in a matrix (2N, N): column i has vector i in rows 2i and 2i + 1."""
     count = len(vectors)
     robots = np.arange(count)
@@ -340,7 +368,7 @@ def _columns(vectors: Floats) -> Floats:
     return columns.reshape(2 * count, count)
 
 
-def _blocks(vectors: Floats) -> Floats:
+def _block_diagonal(vectors: Floats) -> Floats:
     """Return the block-diagonal matrix (2N, 2N) of v v' for each of N vectors v (2,)."""
-    columns = _columns(vectors)
+    columns = _stack_in_columns(vectors)
     return columns @ columns.T

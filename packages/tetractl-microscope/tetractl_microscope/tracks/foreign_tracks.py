@@ -30,16 +30,16 @@ COLUMNS_SHOWN = 8
 """Maximum number of columns that a message names."""
 POSES_MAX = 2_000_000
 """Maximum number of positions that are read."""
-AXES = (("t", "time", "frame"), ("x",), ("y",))
-"""Names of the axes of a graph of which no types are stated."""
-SPARSE = 10
-"""Minimum common step of all image numbers that is reported: times in ms have such a step."""
+AXIS_NAMES = (("t", "time", "frame"), ("x",), ("y",))
+"""Possible names of the axes of a graph whose axes have no types: time, x and y."""
+SPARSE_STEP_MIN = 10
+"""Minimum common step of image numbers for a warning. Such numbers may be times in ms."""
 ERROR_CHARACTERS_MAX = 200
 """Maximum number of characters of an error of the library geff that are shown."""
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
 PIXELS = ("", "px", "pixel", "pixels")
-"""Units of places that need a scale."""
+"""Units of positions that need a scale."""
 
 
 def _is_count(unit: str) -> bool:
@@ -71,8 +71,11 @@ COLUMNS = {
 
 The first name that a table has counts, because spots also have their own id.
 """
-WORDS_BELOW = "position_x"
-"""Where TrackMate's tables have rows of words below the header, of which the last states units."""
+HAS_WORD_ROWS = "position_x"
+"""A column by which TrackMate's tables are recognised.
+
+They have rows of words below the header. The last of these rows states the units.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +93,7 @@ class AxisStep:
 
 TRACK_MAX = 2.0**53
 """Maximum number of a track. Imaris counts tracks from 1e9."""
-FROM_ONE = "images are numbered from 1; image 1 is taken as the first of the video, at 0 s"
+COUNTED_FROM_ONE = "images are numbered from 1; image 1 is taken as the first of the video, at 0 s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,25 +144,27 @@ def spot_tracks(
         UsageError: If the table is invalid, or if the scale or rate is missing or has no meaning.
         AbortError: If software for GEFF graphs is not installed.
     """
-    spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
-    um = _size(path, "--scale", "the file gives places in a unit of length", um_px, spots.across)
+    spots = _read_graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
+    um_per_unit = _unit_size(
+        path, "--scale", "the file gives places in a unit of length", um_px, spots.across
+    )
     period = None if rate_hz is None else 1 / rate_hz
-    seconds = _size(path, "--rate", "it states times", period, spots.time)
+    s_per_unit = _unit_size(path, "--rate", "it states times", period, spots.time)
     missing = list[str]()
-    if um is None:
+    if um_per_unit is None:
         missing.append("a unit of length")
-    if seconds is None:
+    if s_per_unit is None:
         missing.append("the time of an image")
-    if um is None or seconds is None:
-        said = f"{path}: its tracks do not state {' and '.join(missing)}"
-        raise UsageError(said, "give --scale UM_PER_PIXEL and --rate IMAGES_PER_SECOND")
+    if um_per_unit is None or s_per_unit is None:
+        problem = f"{path}: its tracks do not state {' and '.join(missing)}"
+        raise UsageError(problem, "give --scale UM_PER_PIXEL and --rate IMAGES_PER_SECOND")
     if not np.isfinite(spots.rows).all():
         raise UsageError(f"{path}: the file contains a value that is not finite")
     tracks = list[SpotTrack]()
     for number in np.unique(spots.rows[:, 0]).tolist():
         is_on_track = spots.rows[:, 0] == number
         track = np.unique(spots.rows[is_on_track, 1:], axis=0)  # by time; a row twice counts once
-        rows = track * (seconds, um, -spots.tall * um)
+        rows = track * (s_per_unit, um_per_unit, -spots.tall * um_per_unit)
         _require_one_place(path, number, rows[:, 0])
         tracks.append(SpotTrack(number, rows))
     return tracks
@@ -175,29 +180,29 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         UsageError: If a column is missing or a value is invalid.
     """
     rows = read_csv(path)
-    first = next(rows, None)
-    if first is None:
+    first_row = next(rows, None)
+    if first_row is None:
         raise UsageError(f"{path}: the file has no rows of data")
-    quantities = {header: _name_and_unit(header) for header in first.cells}
-    words = [header for header, (name, _) in quantities.items() if name == WORDS_BELOW]
-    while first and words and not is_number(first.cells[words[0]]):
-        for header, text in first.cells.items():
-            unit = text.strip("()") if text.startswith("(") else ""
+    quantities = {header: _name_and_unit(header) for header in first_row.cells}
+    word_headers = [header for header, (name, _) in quantities.items() if name == HAS_WORD_ROWS]
+    while first_row and word_headers and not is_number(first_row.cells[word_headers[0]]):
+        for header, cell in first_row.cells.items():
+            unit = cell.strip("()") if cell.startswith("(") else ""
             quantities[header] = quantities[header][0], unit
-        first = next(rows, None)
-    headers = {what: _column(quantities, *COLUMNS[what]) for what in COLUMNS}
+        first_row = next(rows, None)
+    headers = {quantity: _find_column(quantities, *COLUMNS[quantity]) for quantity in COLUMNS}
     _require_columns(path, headers, list(quantities))
-    units = {what: quantities[header][1] for what, header in headers.items() if header}
-    columns = {what: NumberColumn(headers[what]) for what in units}
+    units = {quantity: quantities[header][1] for quantity, header in headers.items() if header}
+    columns = {quantity: NumberColumn(headers[quantity]) for quantity in units}
     columns["track"] = NumberColumn(headers["track"], largest=TRACK_MAX)
     if "time" in units:
         second = find_factor(units["time"], SECONDS) or 1.0
         columns["time"] = NumberColumn(headers["time"], second, TIME_MAX)
     numbers = list[float]()
-    for row in chain([first] if first else [], rows):
+    for row in chain([first_row] if first_row else [], rows):
         if not math.isnan(columns["track"].optional(path, row)):  # else a spot of no track
-            for what, column in columns.items():
-                is_place = what in ("x", "y")  # a cell need not be found in each picture
+            for quantity, column in columns.items():
+                is_place = quantity in ("x", "y")  # a cell need not be found in each picture
                 number = column.optional(path, row) if is_place else column.number(path, row)
                 numbers.append(number)
     if not numbers:
@@ -205,19 +210,19 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     table = np.reshape(numbers, (-1, len(columns)))
     values = dict(zip(columns, table.T, strict=True))
     if "time" in values and ("frame" not in values or rate_hz is None):
-        when = values["time"]
+        times = values["time"]
         time = AxisStep(1.0, False)
     else:
         if "time" not in values:
             _require_whole(path, headers["frame"], values["frame"])
-            _note_sparse(path, headers["frame"], values["frame"], remarks)
-        when = _from_first_picture(path, values["frame"], remarks)
+            _warn_if_sparse(path, headers["frame"], values["frame"], remarks)
+        times = _from_first_picture(path, values["frame"], remarks)
         time = AxisStep()
         if "time" in values and rate_hz is not None:
-            _note_other_times(path, values["time"], when / rate_hz, rate_hz, remarks)
-    um_across = find_factor(units["x"], MICROMETRES)
-    um_up = find_factor(units["y"], MICROMETRES)
-    spots = np.column_stack([values["track"], when, values["x"], values["y"]])
+            _warn_of_other_times(path, values["time"], times / rate_hz, rate_hz, remarks)
+    um_across = factor(units["x"], MICROMETRES)
+    um_upwards = factor(units["y"], MICROMETRES)
+    spots = np.column_stack([values["track"], times, values["x"], values["y"]])
     spots = spots[np.isfinite(spots).all(axis=1)]
     if not len(spots):
         raise UsageError(f"{path}: the file has no point that belongs to a track")
@@ -225,7 +230,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         spots,
         across=AxisStep(um_across, um_across is None),
         time=time,
-        tall=um_up / um_across if um_across and um_up else 1.0,
+        tall=um_upwards / um_across if um_across and um_upwards else 1.0,
     )
 
 
@@ -241,7 +246,7 @@ def _name_and_unit(header: str) -> tuple[str, str]:
     return name, unit
 
 
-def _column(
+def _find_column(
     quantities: Mapping[str, tuple[str, str]], names: Sequence[str], fits: Callable[[str], bool]
 ) -> str:
     """Find the first of several names that a column with a fitting unit has.
@@ -254,9 +259,9 @@ def _column(
     Returns:
         The header of the column. "" if there is none.
     """
-    for wanted in names:
+    for expected_name in names:
         for header, (name, unit) in quantities.items():
-            if name == wanted and fits(unit):
+            if name == expected_name and fits(unit):
                 return header
     return ""
 
@@ -280,12 +285,12 @@ def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[st
     missing += [axis for axis in ("x", "y") if not headers[axis]]
     if missing:
         listed = ", ".join(printable(header) for header in listed[:COLUMNS_SHOWN])
-        said = (
+        problem = (
             f"{path}: columns of the tracks are missing: {'; '.join(missing)}; the file's "
             f"columns are {listed}"
         )
         raise UsageError(
-            said, "the first line of the file must name the columns particle, frame, x and y"
+            problem, "the first line of the file must name the columns particle, frame, x and y"
         )
 
 
@@ -297,20 +302,20 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
     """
     is_fraction = frames % 1 != 0
     if is_fraction.any():
-        first = frames[is_fraction][0]
-        said = (
-            f"{path}: column {printable(column)}: {first:g} is not a whole number, so "
+        first_fraction = frames[is_fraction][0]
+        problem = (
+            f"{path}: column {printable(column)}: {first_fraction:g} is not a whole number, so "
             "it is not a frame number"
         )
         raise UsageError(
-            said, f"if these are times in seconds, name the column {printable(column)}_s"
+            problem, f"if these are times in seconds, name the column {printable(column)}_s"
         )
     if frames.min() < 0:
-        said = (
+        problem = (
             f"{path}: column {printable(column)}: {frames.min():g} is below 0, so it is not "
             "a frame number"
         )
-        raise UsageError(said, "number the first frame of the video 0")
+        raise UsageError(problem, "number the first frame of the video 0")
 
 
 def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:
@@ -321,18 +326,19 @@ def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Float
     """
     if frames.min() != 1:
         return frames
-    remarks.append(f"warning: {path}: {FROM_ONE}")
+    remarks.append(f"warning: {path}: {COUNTED_FROM_ONE}")
     return frames - 1
 
 
-def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
-    """Add a warning to `remarks` if all image numbers are multiples of SPARSE or a larger step.
+def _warn_if_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
+    """Warn if the common step of all image numbers is at least SPARSE_STEP_MIN.
 
-    Such numbers may be milliseconds. They are counted from the first image.
+    Such numbers may be milliseconds. They are counted from the first image. The warning is added
+    to `remarks`.
     """
     after_first = (frames - frames.min()).astype(np.int64)
     step = int(np.gcd.reduce(after_first))
-    if step >= SPARSE:
+    if step >= SPARSE_STEP_MIN:
         name = printable(column)
         remarks.append(
             f"warning: {path}: the values in column {name} increase in steps of {step}; if they "
@@ -340,7 +346,7 @@ def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) ->
         )
 
 
-def _note_other_times(
+def _warn_of_other_times(
     path: Path, stated: Floats, times: Floats, rate_hz: float, remarks: list[str]
 ) -> None:
     """Add a warning to `remarks` if the times (R,) [s] of a table differ from those of --rate.
@@ -348,11 +354,11 @@ def _note_other_times(
     They must differ by more than half the time between two images. Both are counted from their
     first time.
     """
-    most = float(np.abs((stated - stated[0]) - (times - times[0])).max())
-    if most > 0.5 / rate_hz:
+    difference_max_s = float(np.abs((stated - stated[0]) - (times - times[0])).max())
+    if difference_max_s > 0.5 / rate_hz:
         remarks.append(
             f"warning: {path}: --rate {rate_hz:g} replaces the times in the file, which differ "
-            f"by up to {most:.3g} s"
+            f"by up to {difference_max_s:.3g} s"
         )
 
 
@@ -362,16 +368,16 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
     Raises:
         UsageError: If it has two at one time.
     """
-    is_twice = np.diff(times) == 0
-    if is_twice.any():
-        when = times[:-1][is_twice][0]
+    is_repeated = np.diff(times) == 0
+    if is_repeated.any():
+        time_s = times[:-1][is_repeated][0]
         raise UsageError(
-            f"{path}: cell {number:.0f} has two different places at {when:.15g} s",
+            f"{path}: cell {number:.0f} has two different places at {time_s:.15g} s",
             "do several tracks have the same number, or are the times rounded?",
         )
 
 
-def _size(
+def _unit_size(
     path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
     """Return the size of one unit of a column [um or s]. An option has priority over the table.
@@ -382,13 +388,13 @@ def _size(
     if stated is None:
         return step.size
     if not step.counted:
-        said = f"{path}: {states}, so the option {option} must be left out"
-        raise UsageError(said, f"leave out {option}")
+        problem = f"{path}: {states}, so the option {option} must be left out"
+        raise UsageError(problem, f"leave out {option}")
     return stated
 
 
-def _graph(path: Path) -> SpotTable:
-    """Read the spots of a GEFF graph. The types of its axes tell which are time, x and y.
+def _read_graph(path: Path) -> SpotTable:
+    """Read the spots of a GEFF graph. Time, x and y are found by the types of its axes.
 
     A track begins at a node that has no predecessor, or whose predecessor has several successors.
 
@@ -399,15 +405,15 @@ def _graph(path: Path) -> SpotTable:
     try:
         from geff.core_io import read_to_memory
     except ModuleNotFoundError as error:
-        said = f"{path}: reading a GEFF graph (a folder) needs geff, which is not installed"
-        raise AbortError(said, "pip install './packages/tetractl-microscope[geff]'") from error
+        problem = f"{path}: reading a GEFF graph (a folder) needs geff, which is not installed"
+        raise AbortError(problem, "pip install './packages/tetractl-microscope[geff]'") from error
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     try:
         graph: Mapping[str, Any] = read_to_memory(path)
         properties = graph["node_props"]
-        axes = _axes(graph["metadata"].axes or (), properties)
+        axes = _find_axes(graph["metadata"].axes or (), properties)
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
         raise UsageError(
@@ -424,17 +430,19 @@ def _graph(path: Path) -> SpotTable:
     if not len(edges):
         raise UsageError(f"{path}: the graph has no edges, and therefore no tracks")
     order = np.argsort(ids)
-    first, last = order[np.searchsorted(ids, edges, sorter=order)].T
-    single = np.bincount(first, minlength=len(ids))[first] == 1
-    ends = (first[single], last[single])
+    sources, targets = order[np.searchsorted(ids, edges, sorter=order)].T
+    has_single_successor = np.bincount(sources, minlength=len(ids))[sources] == 1
+    edge_ends = (sources[has_single_successor], targets[has_single_successor])
     count = len(ids)
-    links = coo_array((np.ones(single.sum()), ends), (count, count))
+    links = coo_array((np.ones(has_single_successor.sum()), edge_ends), (count, count))
     _, track = connected_components(links, directed=False)
     time, x, y = axes
-    across = _step(x, MICROMETRES)
-    down = _step(y, MICROMETRES)
-    tall = down.size / across.size if across.size and down.size else 1.0
-    return SpotTable(np.column_stack([track + 1, *nodes]), across, _step(time, SECONDS), tall)
+    x_step = _axis_step(x, MICROMETRES)
+    y_step = _axis_step(y, MICROMETRES)
+    y_to_x_ratio = y_step.size / x_step.size if x_step.size and y_step.size else 1.0
+    return SpotTable(
+        np.column_stack([track + 1, *nodes]), x_step, _axis_step(time, SECONDS), y_to_x_ratio
+    )
 
 
 def _problem_of(error: Exception) -> str:
@@ -444,47 +452,52 @@ def _problem_of(error: Exception) -> str:
     """
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):
-        first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
-        place = ".".join(map(str, first["loc"]))
+        first_problem: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
+        location = ".".join(map(str, first_problem["loc"]))
         return printable(
-            f"{place}: {first['msg']}" if place else str(first["msg"]), ERROR_CHARACTERS_MAX
+            f"{location}: {first_problem['msg']}" if location else str(first_problem["msg"]),
+            ERROR_CHARACTERS_MAX,
         )
-    words = f"{type(error).__name__}: {error}".split()
-    return printable(" ".join(words), ERROR_CHARACTERS_MAX)
+    described = f"{type(error).__name__}: {error}".split()
+    return printable(" ".join(described), ERROR_CHARACTERS_MAX)
 
 
-def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
+def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
     """Find the axes of time, x and y.
 
     They are found by the types in the metadata, or else by the names of axes or, without axes, of
     properties: t or time, x and y. In space, x and y are the axes whose names end so, or else the
     last two: images have the order y, x.
     """
-    times = [axis for axis in stated if axis.type == "time"]
-    places = [axis for axis in stated if axis.type == "space"]
-    if times and len(places) >= 2:
-        ends = {axis.name.lower()[-1:]: axis for axis in places}
-        *_, y, x = places
-        return [times[0], ends["x"], ends["y"]] if {"x", "y"} <= set(ends) else [times[0], x, y]
+    time_axes = [axis for axis in stated if axis.type == "time"]
+    space_axes = [axis for axis in stated if axis.type == "space"]
+    if time_axes and len(space_axes) >= 2:
+        by_last_letter = {axis.name.lower()[-1:]: axis for axis in space_axes}
+        *_, y, x = space_axes
+        return (
+            [time_axes[0], by_last_letter["x"], by_last_letter["y"]]
+            if {"x", "y"} <= set(by_last_letter)
+            else [time_axes[0], x, y]
+        )
     named_axes = [*stated] or [
         SimpleNamespace(name=name, unit="", scale=None, scaled_unit="") for name in names
     ]
     by_name = {axis.name.lower(): axis for axis in named_axes}
-    by_place: list[Any] = []
-    for names_of_place in AXES:
-        by_place += [by_name[name] for name in names_of_place if name in by_name][:1]
-    if len(by_place) < len(AXES):
-        names_said = ", ".join(axis.name for axis in named_axes)
+    found_axes: list[Any] = []
+    for axis_names in AXIS_NAMES:
+        found_axes += [by_name[name] for name in axis_names if name in by_name][:1]
+    if len(found_axes) < len(AXIS_NAMES):
+        listed_names = ", ".join(axis.name for axis in named_axes)
         has_types = "no axis has a type"
-        if times:
+        if time_axes:
             has_types = "no two axes have the type space"
-        elif places:
+        elif space_axes:
             has_types = "no axis has the type time"
-        raise ValueError(f"{has_types}, and their names are {names_said}")
-    return by_place
+        raise ValueError(f"{has_types}, and their names are {listed_names}")
+    return found_axes
 
 
-def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
+def _axis_step(axis: Any, units: Mapping[str, float]) -> AxisStep:
     """Return the length of one unit along an axis of a graph, as its units state it.
 
     The length is None if no unit is known.

@@ -8,7 +8,7 @@ import yaml
 from testkit.cli import tetractl
 from testkit.emulator.silent_labs import flagged_trials
 from testkit.emulator.virtual_lab import virtual_lab
-from tetractl_emulator.fault_rows import SIGHT
+from tetractl_emulator.fault_rows import CAMERA_REASONS
 from tetractl_emulator.rehearsal import day_plan
 from tetractl_toio.camera import ToioCamera
 from tetractl_toio.cubes import EmulatedCubePort
@@ -122,7 +122,7 @@ def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
 ):
     """Regression: no report, no exposure, so the fault had no begin in the record; and no row of a
     rehearsal's table had the reason."""
-    silent = {"kind": "frames lost", "right": SIGHT, "fault": "no_frames"}
+    silent = {"kind": "frames lost", "right": CAMERA_REASONS, "fault": "no_frames"}
     silent |= {"since": "start", "at": 0.0}
     record = rehearse(folder, tmp_path / "days", monkeypatch, silent)
     assert record["reason"] == "no message came from green, blue, red"
@@ -206,7 +206,7 @@ def test_cubes_that_are_lifted_before_a_run_are_waited_for(folder, tmp_path):
 def test_frozen_readings_of_cubes_that_stand_show_them(folder, tmp_path, monkeypatch):
     """Regression: a trial was said to count though its robots were unseen, as the cubes reported
     the same readings while they stood."""
-    frozen = {"kind": "frames frozen", "right": SIGHT, "fault": "freeze"}
+    frozen = {"kind": "frames frozen", "right": CAMERA_REASONS, "fault": "freeze"}
     frozen |= {"since": "stop", "at": 0.3, "for": 1.046}
     assert rehearse(folder, tmp_path / "days", monkeypatch, frozen)["violations"] == []
 

@@ -5,7 +5,7 @@ from random import Random
 from typing import Annotated, ClassVar
 
 from pydantic import Field
-from tetractl_emulator.fault_rows import MOVED, SIGHT, FaultRow, off
+from tetractl_emulator.fault_rows import CAMERA_REASONS, MOVED_REASONS, FaultRow, scaled_vector
 from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.sides import Body, Facts, Stage
@@ -35,26 +35,28 @@ class MatSettings(Model):
 SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
 FAULTS = (
-    fault_kind("no_frames", "No cube reports.", SENT, rows=[FaultRow("frames lost", SIGHT)]),
+    fault_kind(
+        "no_frames", "No cube reports.", SENT, rows=[FaultRow("frames lost", CAMERA_REASONS)]
+    ),
     fault_kind(
         "freeze",
         "All cubes repeat their last report again and again.",
         SENT,
-        rows=[FaultRow("frames frozen", SIGHT)],
+        rows=[FaultRow("frames frozen", CAMERA_REASONS)],
     ),
     fault_kind(
         "untracked",
         "A cube does not see the mat.",
         EXPOSED,
         fields={"robot": Name},
-        rows=[FaultRow("untracked", SIGHT)],
+        rows=[FaultRow("untracked", CAMERA_REASONS)],
     ),
     fault_kind(
         "jump",
         "A cube reads a wrong place on the mat, off by this distance [mm].",
         EXPOSED,
         fields={"robot": Name, "by": Point},
-        rows=[FaultRow("pose jumps", MOVED, {"by": off(5, 500)})],
+        rows=[FaultRow("pose jumps", MOVED_REASONS, {"by": scaled_vector(5, 500)})],
     ),
 )
 

@@ -5,7 +5,7 @@ from random import Random
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
-from tetractl_emulator.fault_rows import RADIO, SIGHT
+from tetractl_emulator.fault_rows import CAMERA_REASONS, RADIO_REASONS
 from tetractl_emulator.faults import ActingFaults, Fault, Share, port_faults
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
@@ -82,7 +82,7 @@ class EmulatedCubes(PortedSide):
     Settings: ClassVar[type[Model]] = CubesSettings
     faults: ClassVar[Sequence[type[Fault]]] = (
         # a cube tells its pose over the same connection
-        *port_faults("radio", f"{RADIO}|{SIGHT}", RADIO),
+        *port_faults("radio", f"{RADIO_REASONS}|{CAMERA_REASONS}", RADIO_REASONS),
         *(kind for kind in WHEELED_FAULTS if kind.__name__ not in NONE),
     )
 

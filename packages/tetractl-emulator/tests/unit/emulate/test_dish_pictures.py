@@ -165,7 +165,7 @@ def test_a_look_that_is_changed_shows_in_the_next_picture():
 
 def test_random_looks_are_within_their_ranges_and_fill_the_picture():
     for seed in range(20):
-        look = PictureLook.drawn(np.random.default_rng(seed), 200)
+        look = PictureLook.sample(np.random.default_rng(seed), 200)
         assert 2.0 <= look.um_px <= 5.0
         assert (look.light < 100) == look.bright
         *specks, bubble = look.specks
@@ -174,7 +174,7 @@ def test_random_looks_are_within_their_ranges_and_fill_the_picture():
         assert not any(speck.rim for speck in specks)
         assert all(0 <= value <= 200 * look.um_px for s in look.specks for value in (s.x, s.y))
         assert any(speck.x > 100 * look.um_px for speck in look.specks)
-    assert PictureLook.drawn(np.random.default_rng(1), 200, 3.5).um_px == 3.5
+    assert PictureLook.sample(np.random.default_rng(1), 200, 3.5).um_px == 3.5
 
 
 @pytest.mark.long

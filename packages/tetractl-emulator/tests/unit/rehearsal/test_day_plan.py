@@ -7,16 +7,16 @@ from random import Random
 import numpy as np
 import pytest
 from testkit.paths import ROOT
-from tetractl_emulator.fault_rows import STRONG, FaultRow, between
+from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, FaultRow, value_between
 from tetractl_emulator.rehearsal.day_plan import (
+    BLIND_FRACTION,
     BLIND_S,
-    BLIND_SHARE,
-    FACING,
-    OWN,
+    FACING_DISTANCES,
+    NOT_IN_SCRIPT,
+    SHORT_FRACTION,
     SHORT_S,
-    SHORT_SHARE,
     SPAN_S,
-    START_SHARE,
+    START_FRACTION,
     DayPlan,
     faults_of_day,
     plan_of_day,
@@ -55,7 +55,7 @@ def test_a_day_has_one_fault_or_up_to_six_and_a_good_one_none(lab, plans):
     counts = Counter(len(plan.faults) for plan in plans)
     assert set(counts) == {1, 2, 3, 4, 5, 6}
     assert counts[1] == pytest.approx(DAYS / 3, abs=38)
-    good = plan_of_day(SEED, 3, *lab, bad=False)
+    good = plan_of_day(SEED, 3, *lab, with_faults=False)
     assert (good.faults, good.settings, good.script()["about"]) == ([], [], "no fault")
 
 
@@ -77,7 +77,9 @@ def test_a_fault_ends_unless_it_is_of_a_moment_strong_or_has_a_time_of_its_own(l
     lasting = [fault for fault in faults if not rows[fault["kind"]].at_once]
     usual = [fault for fault in lasting if "for" not in rows[fault["kind"]].fields]
     share = sum("for" in fault for fault in usual) / len(usual)
-    assert share == pytest.approx(STRONG, abs=4 * math.sqrt(STRONG * (1 - STRONG) / len(usual)))
+    assert share == pytest.approx(
+        ENDLESS_STRENGTH, abs=4 * math.sqrt(ENDLESS_STRENGTH * (1 - ENDLESS_STRENGTH) / len(usual))
+    )
     own = [fault["for"] for fault in lasting if fault["kind"] == "tracked at times"]
     assert own
     assert all(6 <= seconds <= 16 for seconds in own)
@@ -85,7 +87,7 @@ def test_a_fault_ends_unless_it_is_of_a_moment_strong_or_has_a_time_of_its_own(l
 
 @pytest.mark.parametrize(("start", "stop"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.2, 0.3)])
 def test_a_row_states_how_often_its_fault_begins_at_the_start_or_the_stop(start, stop):
-    row = FaultRow("kind", "right", start=start, stop=stop, fields={"by": between(1, 2)})
+    row = FaultRow("kind", "right", start=start, stop=stop, fields={"by": value_between(1, 2)})
     random = Random(SEED)
     faults = [fault for _ in range(DAYS) for fault in faults_of_day(random, ["a", "b"], [row])]
     counts = Counter(fault.get("since") for fault in faults)
@@ -102,7 +104,7 @@ def test_a_script_has_the_faults_in_order_without_what_is_ours():
     ]
     script = DayPlan(1, {"robots": []}, faults).script()
     assert [fault["at"] for fault in script["faults"]] == [1.0, 3.0, 5.0]
-    assert not any(key in fault for key in OWN for fault in script["faults"])
+    assert not any(key in fault for key in NOT_IN_SCRIPT for fault in script["faults"])
     assert script["about"] == "soon, late"
     assert "runner" not in script
     with_settings = DayPlan(1, {}, faults, ["trials.count=1"]).script()
@@ -112,10 +114,10 @@ def test_a_script_has_the_faults_in_order_without_what_is_ours():
 def test_some_days_are_short_and_some_are_driven_blindly(plans):
     """15 and 10 % of 400: 60 and 40, with standard deviations of 7.1 and 6.0."""
     short = of_settings(plans, "controller.time_limit=")
-    assert len(short) == pytest.approx(SHORT_SHARE * DAYS, abs=29)
+    assert len(short) == pytest.approx(SHORT_FRACTION * DAYS, abs=29)
     for plan in short:
         assert SHORT_S[0] <= float(plan.settings[0].partition("=")[2]) <= SHORT_S[1]
-    assert len(of_settings(plans, "controller={")) == pytest.approx(BLIND_SHARE * DAYS, abs=25)
+    assert len(of_settings(plans, "controller={")) == pytest.approx(BLIND_FRACTION * DAYS, abs=25)
 
 
 def test_a_blind_day_holds_each_direction_for_about_a_second(lab, plans):
@@ -147,7 +149,7 @@ def test_two_robots_start_face_to_face_on_some_blind_days(lab, plans):
         turned = np.flatnonzero(np.abs(headings - spec[:, 2]) > 1e-3).tolist()
         (first,) = [robot for robot in turned if robot != second]
         off = complex(*(xy[second] - xy[first]))
-        assert FACING[0] - 0.01 <= abs(off) / separation <= FACING[1] + 0.01
+        assert FACING_DISTANCES[0] - 0.01 <= abs(off) / separation <= FACING_DISTANCES[1] + 0.01
         assert math.remainder(np.angle(off) - headings[first], math.tau) == pytest.approx(
             0, abs=0.01
         )
@@ -161,7 +163,7 @@ def test_two_robots_start_face_to_face_on_some_blind_days(lab, plans):
 
 def test_robots_are_put_near_the_starts_of_the_day(lab, plans):
     section, setup = lab
-    near = START_SHARE * section.limits.start_mm / 1000 / setup.metres
+    near = START_FRACTION * section.limits.start_mm / 1000 / setup.metres
     offs = []
     for plan in plans:
         if of_settings([plan], "controller={"):

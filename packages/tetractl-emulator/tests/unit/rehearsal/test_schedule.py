@@ -7,11 +7,11 @@ from random import Random
 import pytest
 from testkit.paths import ROOT
 from tetractl_emulator.rehearsal.day_plan import (
+    BLIND_FRACTION,
     BLIND_S,
-    BLIND_SHARE,
-    FACING,
-    FACING_SHARE,
-    SHORT_SHARE,
+    FACING_DISTANCES,
+    FACING_FRACTION,
+    SHORT_FRACTION,
     DayPlan,
     faults_of_day,
     plan_of_day,
@@ -37,7 +37,7 @@ def test_a_day_depends_on_its_number_and_the_seed_alone():
 
 
 def test_a_day_without_faults_is_as_the_spec_allows():
-    plan = plan_of_day(7, 1, *LAB, bad=False)
+    plan = plan_of_day(7, 1, *LAB, with_faults=False)
     assert not plan.faults
     starts = EXPERIMENT.setup.starts
     for robot, x, y in zip(plan.emulation["robots"], starts.x, starts.y, strict=True):
@@ -48,8 +48,8 @@ def test_some_trials_are_short_and_some_robots_are_driven_blindly_by_settings_of
     settings = [plan_of_day(1, day, *LAB).settings for day in range(400)]
     blind = [text for text, *_ in filter(None, settings) if "sequence" in text]
     short = [text for text, *_ in filter(None, settings) if "time_limit" in text]
-    assert len(blind) == pytest.approx(400 * BLIND_SHARE, abs=20)
-    assert len(short) == pytest.approx(400 * SHORT_SHARE, abs=20)
+    assert len(blind) == pytest.approx(400 * BLIND_FRACTION, abs=20)
+    assert len(short) == pytest.approx(400 * SHORT_FRACTION, abs=20)
     assert len(blind) + len(short) == len(list(filter(None, settings)))
     control = load_spec(SPEC, [blind[0]]).experiment.controller
     assert len(control.directions) * control.period == pytest.approx(BLIND_S)
@@ -79,11 +79,11 @@ def test_on_half_of_the_blind_days_two_robots_start_face_to_face():
         if moved:
             first, second = starts[list(moved)]
             apart = math.dist(first[:2], second[:2]) / separation
-            assert FACING[0] <= apart <= FACING[1]
+            assert FACING_DISTANCES[0] <= apart <= FACING_DISTANCES[1]
             assert math.cos(first[2] - second[2]) == pytest.approx(-1)
             ahead_rad = experiment.controller.directions[0]
             assert any(math.isclose(ahead_rad, robot[2], abs_tol=0.01) for robot in (first, second))
-    assert pairs[()] / blind == pytest.approx(1 - FACING_SHARE, abs=0.15)
+    assert pairs[()] / blind == pytest.approx(1 - FACING_FRACTION, abs=0.15)
     assert pairs.keys() == {(), (0, 1), (0, 2), (1, 2)}
 
 

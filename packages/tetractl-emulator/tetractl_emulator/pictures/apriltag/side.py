@@ -21,7 +21,7 @@ from tetractl.core.poses import Floats, Grey, Poses
 from tetractl.core.setup import MM
 from tetractl.spec.base import Model, Name, NonNegative
 from tetractl.spec.lab_section import entry
-from tetractl_emulator.fault_rows import SIGHT, FaultRow
+from tetractl_emulator.fault_rows import CAMERA_REASONS, FaultRow
 from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.stream_side import (
     SPARE_PX,
@@ -366,7 +366,7 @@ class EmulatedAprilTag(StreamedCamera):
             "A robot's tag is covered.",
             Visible.EXPOSED,
             fields={"robot": Name},
-            rows=[FaultRow("untracked", SIGHT)],
+            rows=[FaultRow("untracked", CAMERA_REASONS)],
         ),
     )
 

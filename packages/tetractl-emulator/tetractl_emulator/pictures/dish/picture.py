@@ -20,10 +20,10 @@ from tetractl_emulator.pictures.stream_side import SPARE_PX
 
 Shades = NDArray[np.float32]
 
-TAPER = 0.2  # fraction by which the front is narrower than the middle
+TAPER_FRACTION = 0.2  # fraction by which the front is narrower than the middle
 SUB_EXPOSURES = 4
 LENS_PX = 0.6  # blur of a cell in focus
-SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
+BLUR_PER_DEFOCUS = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class PictureLook:
     specks: tuple[RenderedSpeck, ...] = ()
 
     @classmethod
-    def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
+    def sample(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
         """Generate random properties.
 
         The ranges are those of docs/cells-explained.md of tetractl-microscope.
@@ -150,9 +150,9 @@ class DishPainter:
     def __init__(self, look: PictureLook, seed: int = 0) -> None:
         self.look = look
         self._random = np.random.default_rng(seed)
-        self._still: Shades | None = None
+        self._resting_specks: Shades | None = None
         self._noise: Shades | None = None
-        self._shade: Shades | None = None
+        self._light_map: Shades | None = None
 
     def change(self, look: PictureLook) -> None:
         """Set the properties of the images that are drawn next.
@@ -161,8 +161,8 @@ class DishPainter:
         """
         if look != self.look:
             self.look = look
-            self._still = None
-            self._shade = None
+            self._resting_specks = None
+            self._light_map = None
 
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], is_shown: Bools, seconds: float
@@ -179,61 +179,63 @@ class DishPainter:
         ink = self._specks_at_rest().copy()
         for speck in look.specks:
             if speck.drift != (0.0, 0.0):
-                moved = replace(
+                moved_speck = replace(
                     speck,
                     x=speck.x + speck.drift[0] * seconds,
                     y=speck.y + speck.drift[1] * seconds,
                 )
-                self._draw_speck(ink, moved)
+                self._draw_speck(ink, moved_speck)
         for i in np.flatnonzero(is_shown):
             self._draw_cell(ink, cells, moments, int(i))
         light = 1 + look.light_drift * seconds
         light *= 1 + look.flicker * math.sin(2 * math.pi * 100 * seconds + 0.3)
         sign = look.contrast if look.bright else -look.contrast
-        shades = self._vignette() * ((look.light + sign * ink) * light)
-        shades += self._grain() * np.sqrt(np.maximum(shades, 1.0) / look.light)
+        shades = self._relative_light() * ((look.light + sign * ink) * light)
+        shades += self._sample_noise() * np.sqrt(np.maximum(shades, 1.0) / look.light)
         grey = np.clip(shades + 0.5, 0, 255).astype(np.uint8)
         if look.quality is None:
             return grey
         coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, look.quality])[1]
         return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)
 
-    def _vignette(self) -> Shades:
+    def _relative_light(self) -> Shades:
         """Return the relative light at each pixel, shape (height, width): 1 in the middle."""
-        if self._shade is None:
+        if self._light_map is None:
             rows, columns = np.ogrid[-1 : 1 : 1j * self.look.height, -1 : 1 : 1j * self.look.width]
             shade = 1 - self.look.vignetting * (rows**2 + columns**2) / 2
-            self._shade = shade.astype(np.float32)
-        return self._shade
+            self._light_map = shade.astype(np.float32)
+        return self._light_map
 
-    def _grain(self) -> Shades:
+    def _sample_noise(self) -> Shades:
         """Return noise (height, width) [grey levels], a random part of a larger array."""
         if self._noise is None:
             size = self.look.height + SPARE_PX, self.look.width + SPARE_PX
             self._noise = self._random.normal(0, self.look.noise, size).astype(np.float32)
-        down, across = self._random.integers(0, SPARE_PX, 2)
-        return self._noise[down : down + self.look.height, across : across + self.look.width]
+        first_row, first_column = self._random.integers(0, SPARE_PX, 2)
+        return self._noise[
+            first_row : first_row + self.look.height, first_column : first_column + self.look.width
+        ]
 
     def _specks_at_rest(self) -> Shades:
         """Draw all specks that do not drift. The result is cached."""
-        if self._still is None:
-            self._still = np.zeros((self.look.height, self.look.width), np.float32)
+        if self._resting_specks is None:
+            self._resting_specks = np.zeros((self.look.height, self.look.width), np.float32)
             for speck in self.look.specks:
                 if speck.drift == (0.0, 0.0):
-                    self._draw_speck(self._still, speck)
-        return self._still
+                    self._draw_speck(self._resting_specks, speck)
+        return self._resting_specks
 
-    def _pixels(self, x: float, y: float) -> tuple[float, float]:
+    def _to_pixel(self, x: float, y: float) -> tuple[float, float]:
         """Convert a position [um] to a column and a row [px], which need not lie in the image.
 
         Rows count downwards from the top, and pixel centres have integer coordinates.
         """
         look = self.look
-        across = x - look.corner_um[0]
-        up = y - look.corner_um[1]
-        return across / look.um_px - 0.5, look.height - 0.5 - up / look.um_px
+        right_um = x - look.corner_um[0]
+        up_um = y - look.corner_um[1]
+        return right_um / look.um_px - 0.5, look.height - 0.5 - up_um / look.um_px
 
-    def _patch(
+    def _region_around(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
         """Find the part of the image around a position.
@@ -247,36 +249,36 @@ class DishPainter:
             The slices of rows and columns, and x and y (pointing up) of their pixels relative to
             the position [px]. None if the part is outside the image.
         """
-        column, row = self._pixels(x, y)
+        column, row = self._to_pixel(x, y)
         left = max(0, int(column - reach_px))
         right = min(self.look.width, int(column + reach_px) + 2)
         top = max(0, int(row - reach_px))
         bottom = min(self.look.height, int(row + reach_px) + 2)
         if left >= right or top >= bottom:
             return None
-        across = np.arange(left, right, dtype=float) - column
-        up = row - np.arange(top, bottom, dtype=float)
-        return (slice(top, bottom), slice(left, right)), across[None, :], up[:, None]
+        right_px = np.arange(left, right, dtype=float) - column
+        up_px = row - np.arange(top, bottom, dtype=float)
+        return (slice(top, bottom), slice(left, right)), right_px[None, :], up_px[:, None]
 
     def _draw_speck(self, ink: Shades, speck: RenderedSpeck) -> None:
         """Add a speck or a bubble to `ink`, an image of floats.
 
         A speck outside the image is left out.
         """
-        half = speck.size_um / 2 / self.look.um_px
-        patch = self._patch(speck.x, speck.y, half * speck.stretch + 4)
+        half_width_px = speck.size_um / 2 / self.look.um_px
+        patch = self._region_around(speck.x, speck.y, half_width_px * speck.stretch + 4)
         if patch is None:
             return
-        where, across, up = patch
+        region, right_px, up_px = patch
         cos = math.cos(speck.turn)
         sin = math.sin(speck.turn)
-        along = across * cos + up * sin
-        aside = up * cos - across * sin
-        radius = np.hypot(along / speck.stretch, aside) - half
+        along_px = right_px * cos + up_px * sin
+        aside_px = up_px * cos - right_px * sin
+        radius = np.hypot(along_px / speck.stretch, aside_px) - half_width_px
         if speck.rim:  # bright, even if the cells are dark
             sign = 0.8 if self.look.bright else -0.8
-            ink[where] += (sign * np.exp(-(radius**2) / 8)).astype(np.float32)
-        ink[where] += (speck.shade / (1 + np.exp(np.clip(radius / 0.7, -30, 30)))).astype(
+            ink[region] += (sign * np.exp(-(radius**2) / 8)).astype(np.float32)
+        ink[region] += (speck.shade / (1 + np.exp(np.clip(radius / 0.7, -30, 30)))).astype(
             np.float32
         )
 
@@ -289,27 +291,27 @@ class DishPainter:
         middle = moments[len(moments) // 2]
         half_long = cells.length[i] / 2 / scale
         half_wide = cells.width[i] / 2 / scale
-        defocus = SPREAD * abs(middle.height[i] - self.look.focus_um) / scale
-        soft = math.hypot(LENS_PX, defocus)
-        patch = self._patch(middle.x[i], middle.y[i], half_long + 3 * soft + 6)
+        defocus = BLUR_PER_DEFOCUS * abs(middle.height[i] - self.look.focus_um) / scale
+        blur_px = math.hypot(LENS_PX, defocus)
+        patch = self._region_around(middle.x[i], middle.y[i], half_long + 3 * blur_px + 6)
         if patch is None:
             return
-        where, across, up = patch
-        drawn = np.zeros((up.size, across.size))
+        region, right_px, up_px = patch
+        coverage_sum = np.zeros((up_px.size, right_px.size))
         for body in moments:
             cos = math.cos(body.axis[i])
             sin = math.sin(body.axis[i])
-            long = math.hypot(
+            half_length = math.hypot(
                 half_long * math.cos(body.tilt[i]), half_wide * math.sin(body.tilt[i])
             )
-            x = across - (body.x[i] - middle.x[i]) / scale
-            y = up - (body.y[i] - middle.y[i]) / scale
+            x = right_px - (body.x[i] - middle.x[i]) / scale
+            y = up_px - (body.y[i] - middle.y[i]) / scale
             # the taper moves the middle of the area back by a quarter of the taper
-            along = (x * cos + y * sin) / long - TAPER / 4
+            along = (x * cos + y * sin) / half_length - TAPER_FRACTION / 4
             aside = (y * cos - x * sin) / half_wide
-            wide = np.maximum(1 - TAPER * np.clip(along, -1, 1), 0.1)
-            inside = 1 - np.hypot(along, aside / wide)
-            drawn += 1 / (1 + np.exp(-np.clip(1.7 * inside * half_wide / soft, -30, 30)))
-        cover = (drawn / len(moments)).astype(np.float32)
+            relative_width = np.maximum(1 - TAPER_FRACTION * np.clip(along, -1, 1), 0.1)
+            inside = 1 - np.hypot(along, aside / relative_width)
+            coverage_sum += 1 / (1 + np.exp(-np.clip(1.7 * inside * half_wide / blur_px, -30, 30)))
+        coverage = (coverage_sum / len(moments)).astype(np.float32)
         # two overlapping bodies are not twice as dark
-        ink[where] = ink[where] * (1 - 0.5 * cover) + cover
+        ink[region] = ink[region] * (1 - 0.5 * coverage) + coverage

@@ -17,7 +17,13 @@ from tetractl.core.setup import Setup
 from tetractl.model.swimmers import Bodies, bodies
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.spec.lab_section import LabSection
-from tetractl_emulator.fault_rows import SEEN, FaultRow, between, signed, vector
+from tetractl_emulator.fault_rows import (
+    SEEN_REASONS,
+    FaultRow,
+    random_vector,
+    signed_value,
+    value_between,
+)
 from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.dish.live_dish import CellBody
 from tetractl_emulator.pictures.dish.picture import (
@@ -78,9 +84,9 @@ class EmulatedMicroscope(StreamedCamera):
                 "flicker": (Annotated[float, Field(ge=0, le=1)], 0.0),
             },
             rows=[
-                FaultRow("dark", SEEN, {"share": between(0.95, 1 / 60)}),
-                FaultRow("bright", SEEN, {"share": between(1.05, 6)}),
-                FaultRow("flicker", SEEN, {"flicker": between(0.02, 1)}),
+                FaultRow("dark", SEEN_REASONS, {"share": value_between(0.95, 1 / 60)}),
+                FaultRow("bright", SEEN_REASONS, {"share": value_between(1.05, 6)}),
+                FaultRow("flicker", SEEN_REASONS, {"flicker": value_between(0.02, 1)}),
             ],
         ),
         fault_kind(
@@ -88,28 +94,28 @@ class EmulatedMicroscope(StreamedCamera):
             "The focal plane is off by this height [um].",
             Visible.EXPOSED,
             fields={"by_um": Finite},
-            rows=[FaultRow("blurred", SEEN, {"by_um": signed(5, 300)})],
+            rows=[FaultRow("blurred", SEEN_REASONS, {"by_um": signed_value(5, 300)})],
         ),
         fault_kind(
             "knocked",
             "Somebody moved the stage by this displacement [um].",
             Visible.EXPOSED,
             fields={"by_um": tuple[Finite, Finite]},
-            rows=[FaultRow("knocked", SEEN, {"by_um": vector(3, 800)})],
+            rows=[FaultRow("knocked", SEEN_REASONS, {"by_um": random_vector(3, 800)})],
         ),
         fault_kind(
             "bubble",
             "A bubble of this diameter [um] is in the middle of the image.",
             Visible.EXPOSED,
             fields={"size_um": (Positive, 200.0)},
-            rows=[FaultRow("bubble", SEEN, {"size_um": between(20, 600)})],
+            rows=[FaultRow("bubble", SEEN_REASONS, {"size_um": value_between(20, 600)})],
         ),
         fault_kind(
             "untracked",
             "A cell is missing from the images.",
             Visible.EXPOSED,
             fields={"cell": Name},
-            rows=[FaultRow("cell covered", SEEN)],
+            rows=[FaultRow("cell covered", SEEN_REASONS)],
         ),
     )
 
@@ -133,7 +139,7 @@ class EmulatedMicroscope(StreamedCamera):
             (arena.top + arena.bottom) * um - 2 * corner[1],
         )
         width, height = (math.ceil(max(side / section.um_px, 64)) for side in sides)
-        drawn = PictureLook.drawn(np.random.default_rng(self.seed), 1024, section.um_px)
+        drawn = PictureLook.sample(np.random.default_rng(self.seed), 1024, section.um_px)
         self.painter = DishPainter(
             PictureLook(
                 width=settings.width or width,

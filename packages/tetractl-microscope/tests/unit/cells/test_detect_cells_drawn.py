@@ -8,21 +8,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tetractl_microscope.cells.detect_cells import (
-    AGAIN,
-    HIGH,
-    LEARNING,
-    LOST,
-    LOW,
-    STRIPES,
+    HIGH_STDS,
+    LEARNING_RATE,
+    LOST_IN_A_ROW_MAX,
+    LOW_STDS,
+    RELEARNING_SAMPLES,
+    STRIPE_COUNT,
     Background,
     BlobFinder,
     Box,
     SearchArrays,
     SearchLimits,
-    _blob,
-    _median,
-    _sparse,
-    _square,
+    _averaging_square,
+    _measure_blob,
+    _median_image,
+    _sample_pixels,
 )
 
 HEIGHT = 160
@@ -259,7 +259,11 @@ def test_another_dish_is_learned_after_some_lost_pictures():
 
     lost = shown(finder, exchanged, 60)
     first = lost.index(False)
-    assert LOST + 2 * AGAIN < first < LOST + 4 * AGAIN
+    assert (
+        LOST_IN_A_ROW_MAX + 2 * RELEARNING_SAMPLES
+        < first
+        < LOST_IN_A_ROW_MAX + 4 * RELEARNING_SAMPLES
+    )
     assert not any(lost[first:])
     assert np.abs(finder.background.astype(float) - exchanged()).mean() < 3
     assert len(finder.find((other.picture((40.0, 60.0)) * shade).astype(np.uint8))) == 1
@@ -272,7 +276,7 @@ def test_a_few_lost_pictures_in_a_row_change_no_background():
     finder.find(dish.picture())
     before = finder.background.astype(float).copy()
     for _ in range(6):
-        assert all(shown(finder, lambda: dark.picture(noise=60.0), LOST))
+        assert all(shown(finder, lambda: dark.picture(noise=60.0), LOST_IN_A_ROW_MAX))
         assert not any(shown(finder, dish.picture, 3))
     assert np.abs(finder.background - before).mean() < 6.0
     assert len(finder.find(dish.picture((80.0, 60.0)))) == 1
@@ -330,10 +334,10 @@ def test_a_cell_that_comes_back_to_where_it_was_corrected_is_found():
 def test_the_stripes_are_the_whole_picture_and_come_in_turn():
     for height in (16, 37, 160):
         newest = SearchArrays(np.zeros((height, 4), np.uint8))
-        rows = [newest.next_stripe() for _ in range(2 * STRIPES)]
-        covered = [row for part in rows[:STRIPES] for row in range(part.start, part.stop)]
+        rows = [newest.next_stripe() for _ in range(2 * STRIPE_COUNT)]
+        covered = [row for part in rows[:STRIPE_COUNT] for row in range(part.start, part.stop)]
         assert covered == list(range(height))
-        assert rows[STRIPES:] == rows[:STRIPES]
+        assert rows[STRIPE_COUNT:] == rows[:STRIPE_COUNT]
 
 
 def test_the_background_follows_slowly_where_no_cell_is_kept():
@@ -343,16 +347,16 @@ def test_the_background_follows_slowly_where_no_cell_is_kept():
     before = finder._background.fine.copy()
     later = np.clip(dish.picture() + np.where(ACROSS < 40, 2, 0), 0, 255).astype(np.uint8)
     keep = (10, 30, 25, 70)  # left, top, right and bottom
-    for _ in range(STRIPES):
+    for _ in range(STRIPE_COUNT):
         finder.find(later)
         finder.follow([keep])
     change = finder._background.fine - before
     left, top, right, bottom = keep
     assert np.abs(change[top:bottom, left:right]).max() < 1e-6
-    assert change[top:bottom, 2:left].mean() == pytest.approx(2 * LEARNING, abs=0.06)
-    assert change[top:bottom, right:38].mean() == pytest.approx(2 * LEARNING, abs=0.06)
-    assert change[2 : top - 1, 2:38].mean() == pytest.approx(2 * LEARNING, abs=0.06)
-    assert change[bottom + 1 :, 2:38].mean() == pytest.approx(2 * LEARNING, abs=0.06)
+    assert change[top:bottom, 2:left].mean() == pytest.approx(2 * LEARNING_RATE, abs=0.06)
+    assert change[top:bottom, right:38].mean() == pytest.approx(2 * LEARNING_RATE, abs=0.06)
+    assert change[2 : top - 1, 2:38].mean() == pytest.approx(2 * LEARNING_RATE, abs=0.06)
+    assert change[bottom + 1 :, 2:38].mean() == pytest.approx(2 * LEARNING_RATE, abs=0.06)
     assert abs(change[:, 50:].mean()) < 0.1
 
 
@@ -365,7 +369,7 @@ def test_rectangles_beyond_the_image_keep_what_is_within(keep):
     kept[max(0, keep[1]) : max(0, keep[3]), max(0, keep[0]) : max(0, keep[2])] = True
     finder.find(later)
     before = finder._background.fine.copy()
-    for _ in range(STRIPES):
+    for _ in range(STRIPE_COUNT):
         finder.follow([keep])
     changed = finder._background.fine != before
     assert not changed[kept].any()
@@ -375,7 +379,7 @@ def test_rectangles_beyond_the_image_keep_what_is_within(keep):
 def test_a_resting_body_does_not_become_background():
     dish = Dish()
     finder = dish.finder()
-    for _ in range(6 * STRIPES):
+    for _ in range(6 * STRIPE_COUNT):
         blobs = finder.find(dish.picture((80.0, 60.0)))
         finder.follow([])
     assert len(blobs) == 1
@@ -410,13 +414,13 @@ def test_a_background_moves_with_all_that_was_learned():
 
 @given(st.floats(0, 20), st.floats(0.1, 5))
 def test_the_limits_are_those_above_the_level(level, spread):
-    limits = SearchLimits(level + LOW * spread, level + HIGH * spread, 1.0, 2.0)
+    limits = SearchLimits(level + LOW_STDS * spread, level + HIGH_STDS * spread, 1.0, 2.0)
     assert limits.level == pytest.approx(level, abs=1e-9)
 
 
 @pytest.mark.parametrize("least_px2", [1, 2, 30, 80, 500])
 def test_averages_are_over_a_square_of_an_odd_side_near_that_of_the_least_body(least_px2):
-    side, other = _square(least_px2).shape
+    side, other = _averaging_square(least_px2).shape
     assert side == other and side % 2 == 1
     assert abs(side - 1.2 * math.sqrt(least_px2)) <= 1.3
 
@@ -427,14 +431,14 @@ def test_a_median_is_of_the_pictures_at_the_same_light_in_any_size():
         pictures = random.integers(0, 200, (5, *size)).astype(np.uint8)
         gains = np.array([1.0, 0.5, 2.0, 1.5, 1.0])
         expected = np.median(gains[:, None, None] * pictures, axis=0)
-        assert _median(list(pictures), gains) == pytest.approx(expected)
+        assert _median_image(list(pictures), gains) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("height", "step"), [(64, 8), (512, 8), (640, 10), (2048, 32)])
 def test_statistics_are_of_about_64_rows_and_every_eighth_at_most(height, step):
     picture = np.arange(height)[:, None] * np.ones((1, 100))
-    assert _sparse(picture)[:, 0].tolist() == list(range(0, height, step))
-    assert _sparse(picture).shape[1] == math.ceil(100 / step)
+    assert _sample_pixels(picture)[:, 0].tolist() == list(range(0, height, step))
+    assert _sample_pixels(picture).shape[1] == math.ceil(100 / step)
 
 
 @pytest.mark.parametrize("weighed", [True, False])
@@ -445,7 +449,7 @@ def test_the_moments_of_a_rectangle_are_those_of_its_area(wide, tall, weighed):
     body[3 : 3 + tall, 5 : 5 + wide] = 1
     difference = 40 * body
     box = Box(left=100, top=50, wide=30, tall=20)
-    blob = _blob(body, body * (1.0 if weighed else 0.0), difference, box, True)
+    blob = _measure_blob(body, body * (1.0 if weighed else 0.0), difference, box, True)
     assert (blob.x, blob.y) == pytest.approx((105 + (wide - 1) / 2, 53 + (tall - 1) / 2))
     longer, shorter = max(wide, tall), min(wide, tall)
     assert blob.long == pytest.approx(4 * longer / math.sqrt(12))

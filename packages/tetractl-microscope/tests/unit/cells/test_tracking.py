@@ -9,7 +9,7 @@ from testkit.microscope.dish_films import film, followed, scored
 from tetractl_emulator.pictures.dish.picture import PictureLook
 from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack
-from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
+from tetractl_microscope.cells.detect_cells import BLOBS_MAX, BlobFinder
 from tetractl_microscope.cells.specks import Speck
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.organisms import TETRAHYMENA
@@ -71,7 +71,7 @@ def test_numbers_are_kept_through_crossings():
 @pytest.mark.long
 @pytest.mark.parametrize("bright", [False, True])
 def test_the_polarity_is_found_and_specks_are_no_cells(bright):
-    drawn_look = PictureLook.drawn(np.random.default_rng(6), 384, 2.3)
+    drawn_look = PictureLook.sample(np.random.default_rng(6), 384, 2.3)
     specks = tuple(speck for speck in drawn_look.specks if speck.drift == (0.0, 0.0))
     look = {"bright": bright, "light": 50.0 if bright else 160.0, "specks": specks}
     synthetic = film(seed=6, side=384, look=look, cells=3, crossings=0.0)
@@ -114,7 +114,7 @@ def test_absurd_pictures_have_few_blobs_and_no_cells(name):
     tracker.finder.learn(pictures)
     for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
         tracked = tracker.see(picture, k / 30, no_field)
-        assert len(tracker.finder.find(absurd)) <= BLOBS
+        assert len(tracker.finder.find(absurd)) <= BLOBS_MAX
         assert all(np.isfinite((c.x, c.y, c.heading)).all() for c in tracked)
         if 20 < k < 30:
             assert tracked == []

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from testkit.microscope.needs_opencv import cv2
-from tetractl_microscope.cells.tracking import HIDDEN_S, LOST_S, NEW, CellTracker
+from tetractl_microscope.cells.tracking import HIDDEN_S, LOST_S, NEW_CELL_LENGTHS, CellTracker
 from tetractl_microscope.organisms import TETRAHYMENA
 from tetractl_microscope.tracks.field_file import no_field
 
@@ -124,9 +124,9 @@ def test_a_cell_at_the_edge_is_lost_soon_and_one_in_the_middle_is_not():
 
 def test_an_object_that_stops_soon_after_it_was_seen_to_swim_is_no_cell():
     film = Film()
-    way_px = 0.8 * NEW * TETRAHYMENA.body_um[0] / UM_PX
+    way_px = 0.8 * NEW_CELL_LENGTHS * TETRAHYMENA.body_um[0] / UM_PX
     film.swim(60.0, 100.0, 8, step_px=way_px / 8)
-    slowest_s = NEW * TETRAHYMENA.body_um[0] / TETRAHYMENA.slowest_um_s
+    slowest_s = NEW_CELL_LENGTHS * TETRAHYMENA.body_um[0] / TETRAHYMENA.slowest_um_s
     last = [film.show((60.0 + way_px, 100.0)) for _ in range(round(slowest_s * HZ) + 6)]
     assert len(last[0]) == 1 and last[-1] == []
 
@@ -165,8 +165,8 @@ def test_cells_are_numbered_and_listed_in_the_order_of_their_tracks():
 def test_the_background_is_kept_in_a_rectangle_around_each_cell():
     film = Film()
     film.swim(60.0, 100.0, 20)
-    now = film.tracker._now(film.picture(), film.count / HZ)
-    ((left, top, right, bottom),) = film.tracker._surroundings(now)
+    now = film.tracker._describe_picture(film.picture(), film.count / HZ)
+    ((left, top, right, bottom),) = film.tracker._cell_rectangles(now)
     x, y = 60 + STEP_PX * 19, 100
     assert left < x - HALF_LONG and x + HALF_LONG < right
     assert top < y - HALF_LONG and y + HALF_LONG < bottom

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tetractl_microscope.handedness import handedness
 from tetractl_microscope.sent_directions import (
-    AT_ONCE_S,
+    SHORT_DELAYS_S,
     check_directions,
     courses,
     other_readings,
@@ -91,7 +91,7 @@ def field_at_times(tmp_path, times):
 def test_a_field_whose_times_are_not_the_tracks_is_refused(tmp_path, stated, says):
     def check(sent):
         readings = other_readings("field.csv", sent, 1 / 30, "cells")
-        check_directions("field.csv", turned, sent, AT_ONCE_S, readings)
+        check_directions("field.csv", turned, sent, SHORT_DELAYS_S, readings)
 
     true_times = [time for time, _ in STEPS]
     true = field_at_times(tmp_path, true_times)

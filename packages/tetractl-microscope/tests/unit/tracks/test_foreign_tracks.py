@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tetractl_microscope.tracks.foreign_tracks import _axes, _step, spot_tracks
+from tetractl_microscope.tracks.foreign_tracks import _axis_step, _find_axes, spot_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -151,7 +151,7 @@ def axis(name, kind=None, unit="", scale=None, scaled_unit=""):
 
 
 def names(axes, properties=()):
-    return [found.name for found in _axes(axes, properties)]
+    return [found.name for found in _find_axes(axes, properties)]
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_a_graph_without_time_x_and_y_says_what_it_lacks(axes, says):
 def test_an_axis_has_a_size_if_its_unit_or_its_scale_is_known(
     unit, scale, scaled_unit, size, counted
 ):
-    step = _step(axis("x", unit=unit, scale=scale, scaled_unit=scaled_unit), MICROMETRES)
+    step = _axis_step(axis("x", unit=unit, scale=scale, scaled_unit=scaled_unit), MICROMETRES)
     assert (step.size, step.counted) == (size, counted)
 
 

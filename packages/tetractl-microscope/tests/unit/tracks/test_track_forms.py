@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.tracks.foreign_tracks import FROM_ONE, spot_tracks
+from tetractl_microscope.tracks.foreign_tracks import COUNTED_FROM_ONE, spot_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -126,7 +126,7 @@ def test_a_count_from_1_begins_at_time_0_and_is_said(first, late, tmp_path):
     said = []
     expected = [(seconds + late / HZ, x, y) for seconds, x, y in POSES]
     assert np.allclose(poses(path, UM, HZ, said), expected)
-    assert [FROM_ONE in line for line in said] == [True] * (first == 1)
+    assert [COUNTED_FROM_ONE in line for line in said] == [True] * (first == 1)
 
 
 SPOTS = """\

@@ -140,11 +140,13 @@ class SceneHistory:
         i = min(later, len(scenes) - 1)
         if i == 0:
             return scenes[0][1]
-        before_ns, before = scenes[i - 1]
-        after_ns, after = scenes[i]
-        fraction_between = min(max((when_ns - before_ns) / (after_ns - before_ns), 0.0), 1.0)
+        earlier_ns, earlier_scene = scenes[i - 1]
+        later_ns, later_scene = scenes[i]
+        fraction = min(max((when_ns - earlier_ns) / (later_ns - earlier_ns), 0.0), 1.0)
         # a cell may have divided between the two scenes
-        return before + fraction_between * (after[..., : before.shape[-1]] - before)
+        return earlier_scene + fraction * (
+            later_scene[..., : earlier_scene.shape[-1]] - earlier_scene
+        )
 
 
 class ShownBodies:
@@ -212,20 +214,20 @@ class StreamedCamera(ABC):
         assert isinstance(section, PictureSection), "the camera searches pictures"
         source = section.source
         http = stage.wires.http
-        served = MjpegSource if http else (MjpegSource, DeviceSource)
-        if not isinstance(source, served):
+        emulated_sources = MjpegSource if http else (MjpegSource, DeviceSource)
+        if not isinstance(source, emulated_sources):
             raise SpecError(
                 f"a camera source of type {source.type} cannot be emulated",
                 "set the source to {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
             )
         port = stage.options.command_port
-        named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
+        stated_port = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
         self._stage = stage
         self._bodies = bodies
-        self._port = named if port is None else port
+        self._port = stated_port if port is None else port
         self._drips = settings.drips
         self.pictures = PictureStream(
-            self._taken,
+            self._draw_exposure,
             settings.rate,
             settings.exposure,
             section.latency,
@@ -233,8 +235,8 @@ class StreamedCamera(ABC):
             self.seed,
         )
         self._history = SceneHistory()
-        self._shown: ShownBodies | None = None  # over HTTP, where it is not known what has come
-        self._watched = False
+        self._shown_bodies: ShownBodies | None = None  # None over HTTP, where arrivals are unknown
+        self._has_client = False
         self._exposures = 0
         self._releases = ExitStack()
 
@@ -249,7 +251,7 @@ class StreamedCamera(ABC):
 
         It is empty over HTTP, where this is not known.
         """
-        return () if self._shown is None else self._shown.newest_ns
+        return () if self._shown_bodies is None else self._shown_bodies.newest_ns
 
     @abstractmethod
     def _scene(self) -> Floats:
@@ -277,17 +279,17 @@ class StreamedCamera(ABC):
         wires = self._stage.wires
         clock = wires.clock()
         self._start_ns = loop.now() - clock.now()
-        self._remember()
+        self._store_scene()
         self.camera: Any
         if wires.http:
             self.camera = EmulatedNetworkCamera(self.pictures, clock, self._port, self._drips)
         else:
             assert isinstance(clock, LabClock), "wires in memory are those of a LabClock"
-            self._shown = ShownBodies(len(self._visible_now()))
-            shown = partial(self._shown.come, start_ns=self._start_ns)
-            self.camera = MemoryCamera(self.pictures, clock, self._port, shown)
+            self._shown_bodies = ShownBodies(len(self._visible_now()))
+            on_arrival = partial(self._shown_bodies.come, start_ns=self._start_ns)
+            self.camera = MemoryCamera(self.pictures, clock, self._port, on_arrival)
         self._releases.enter_context(self.camera)
-        self._expose()
+        self._report_exposure()
         return {"camera": self.camera.url, "url": self.camera.url}
 
     def close(self) -> Facts:
@@ -308,10 +310,10 @@ class StreamedCamera(ABC):
         """React to a client that starts to read. By default, nothing happens."""
         return
 
-    def _taken(self, exposed_ns: int) -> Grey:
+    def _draw_exposure(self, exposed_ns: int) -> Grey:
         """Draw the image of an exposure at a time [ns]. In memory, also record what it shows."""
-        if self._shown is not None:
-            self._shown.expose(exposed_ns, self._visible_now())
+        if self._shown_bodies is not None:
+            self._shown_bodies.expose(exposed_ns, self._visible_now())
         return self._draw(exposed_ns)
 
     def _scene_at(self, t_ns: int) -> Floats:
@@ -321,21 +323,21 @@ class StreamedCamera(ABC):
         """
         return self._history.at(self._start_ns + t_ns)
 
-    def _remember(self) -> None:
+    def _store_scene(self) -> None:
         """Store the present scene for exposures that are drawn later, every 5 ms."""
-        now = self._stage.timeline.now_ns
-        self._history.add(now, self._scene())
+        now_ns = self._stage.timeline.now_ns
+        self._history.add(now_ns, self._scene())
         # exposures are drawn between two of these scenes
-        self._stage.timeline.at(now + 5_000_000, self._remember)
+        self._stage.timeline.at(now_ns + 5_000_000, self._store_scene)
 
-    def _expose(self) -> None:
+    def _report_exposure(self) -> None:
         """Report an exposure, and a client that starts to read, and schedule the next exposure."""
-        now = self._stage.timeline.now_ns
+        now_ns = self._stage.timeline.now_ns
         self._exposures += 1
-        self._stage.exposed(self._exposures, 0)  # our camera counts what comes
+        self._stage.exposed(self._exposures, 0)  # our camera counts the images that arrive
         self._stage.sent(self._exposures)
-        if self.camera.watched and not self._watched:
+        if self.camera.watched and not self._has_client:
             self._joined()
             self._stage.client(self.camera.url)
-        self._watched = self.camera.watched
-        self._stage.timeline.at(now + self.pictures.middle_ns(1), self._expose)
+        self._has_client = self.camera.watched
+        self._stage.timeline.at(now_ns + self.pictures.middle_ns(1), self._report_exposure)

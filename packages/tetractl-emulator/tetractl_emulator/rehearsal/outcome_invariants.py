@@ -22,7 +22,7 @@ KILLED = -9
 INTERRUPTED = 130
 """The exit code of a run that a signal has ended."""
 NO_ABORT_S = 1e6
-"""Value in place of the time of an abort that never came [s].
+"""Time that is reported for an abort that never came [s].
 
 It is finite because results contain no infinite numbers.
 """
@@ -39,7 +39,7 @@ def outcome_violations(truth: Truth) -> list[Violation]:
     return [violation for invariant in invariants for violation in invariant(truth)]
 
 
-# The log is readable, and says what was
+# The log is readable, and agrees with what happened
 
 
 def log_is_readable(truth: Truth) -> Iterator[Violation]:
@@ -83,33 +83,33 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
 
     A run must not hang, print an error of our program, or leave anything behind. It must end with
     the code of `_expected_code`, at the latest after `late_steps` late steps in a row. A trial may
-    end with 0 only if `_counts` allows it. If a process received a signal while it waited for
-    robots, so that no run began, it may also end with 130. After a run that hangs, nothing else is
-    checked.
+    end with 0 only if `_check_valid_trial` allows it. If a process received a signal while it
+    waited for robots, so that no run began, it may also end with 130. After a run that hangs,
+    nothing else is checked.
     """
     day = truth.day
-    for text in (truth.reason, day.output):
-        if PROGRAM_ERROR.search(text):
-            yield _wrong_end(text[-500:])
+    for printed in (truth.reason, day.output):
+        if PROGRAM_ERROR.search(printed):
+            yield _exit_violation(printed[-500:])
             break
     if day.exit_code == HUNG:
-        yield _wrong_end("hangs")
+        yield _exit_violation("hangs")
         return
     if day.left_behind:
-        yield _wrong_end(f"left behind: {day.left_behind}")
+        yield _exit_violation(f"left behind: {day.left_behind}")
     expected = _expected_code(truth)
-    waited = truth.began_s == np.inf and truth.met("signal")
-    if day.exit_code != expected and not (waited and day.exit_code == INTERRUPTED):
-        yield _wrong_end(f"{day.exit_code}, not {expected}")
-    if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
-        yield _wrong_end(
+    never_began = truth.began_s == np.inf and truth.met("signal")
+    if day.exit_code != expected and not (never_began and day.exit_code == INTERRUPTED):
+        yield _exit_violation(f"{day.exit_code}, not {expected}")
+    if truth.trial is not None and _longest_late_run(truth) > truth.limits.late_steps:
+        yield _exit_violation(
             "a trial goes on although more than `late_steps` control steps in a row were late"
         )
     if day.exit_code == 0:
-        yield from _counts(truth)
+        yield from _check_valid_trial(truth)
 
 
-def _wrong_end(finding: str, at_s: float = 0.0) -> Violation:
+def _exit_violation(finding: str, at_s: float = 0.0) -> Violation:
     """Create a violation of the invariant on exit codes, at a time [s]."""
     return Violation("exit code", at_s, finding)
 
@@ -129,7 +129,7 @@ def _expected_code(truth: Truth) -> int:
     return INTERRUPTED if outcome is Outcome.INTERRUPTED else 1
 
 
-def _counts(truth: Truth) -> Iterator[Violation]:
+def _check_valid_trial(truth: Truth) -> Iterator[Violation]:
     """Check that a trial does not count as valid when it must not.
 
     A trial must not count in three cases:
@@ -145,19 +145,21 @@ def _counts(truth: Truth) -> Iterator[Violation]:
     end_s = truth.alive_s
     pressed_s = truth.pressed_s
     if truth.first_s("run") < pressed_s < end_s - TRANSIT_S:
-        yield _wrong_end("a trial counts although the emergency stop was pressed", pressed_s)
+        yield _exit_violation("a trial counts although the emergency stop was pressed", pressed_s)
     is_before_end = truth.times_s <= end_s
     last_unseen_s = truth.unseen_s[is_before_end][-1:]
-    most_s = last_unseen_s.max(initial=0.0)
-    if most_s > truth.limits.stream_lost and not truth.froze_as_rest:
-        yield _wrong_end(f"a trial counts although a robot was unseen for {most_s:.2f} s", end_s)
+    unseen_max_s = last_unseen_s.max(initial=0.0)
+    if unseen_max_s > truth.limits.stream_lost and not truth.froze_as_rest:
+        yield _exit_violation(
+            f"a trial counts although a robot was unseen for {unseen_max_s:.2f} s", end_s
+        )
     for fault in truth.shown_moving:
         if fault.span.began_s < truth.ended_s + TRANSIT_S and fault.span.ended_s > end_s:
             finding = f"a trial counts although the camera shows motion: {fault.kind}"
-            yield _wrong_end(finding, end_s)
+            yield _exit_violation(finding, end_s)
 
 
-def _late_in_a_row(truth: Truth) -> int:
+def _longest_late_run(truth: Truth) -> int:
     """Find the maximum number of successive late control steps in the log.
 
     A step is late if it takes longer than a period. It begins when its frame has arrived and the
@@ -168,23 +170,23 @@ def _late_in_a_row(truth: Truth) -> int:
     """
     assert truth.trial is not None
     period_ns = truth.setup.period_s * 1e9
-    most = 0
-    count = 0
+    longest = 0
+    length = 0
     ended_ns = 0
-    robots_stand = True
+    was_stopped = True
     for step in truth.trial.steps:
         began_ns = max(step.observation.received_ns, ended_ns)
         ended_ns = step.command.sent_ns
-        stops = isinstance(step.command.action, Stop | Turn)
+        is_stop = isinstance(step.command.action, Stop | Turn)
         is_late = ended_ns - began_ns > period_ns
-        in_row = is_late and not stops and not robots_stand
-        count = count + 1 if in_row else 0
-        robots_stand = stops
-        most = max(most, count)
-    return most
+        in_row = is_late and not is_stop and not was_stopped
+        length = length + 1 if in_row else 0
+        was_stopped = is_stop
+        longest = max(longest, length)
+    return longest
 
 
-# The reason names a fault that was there
+# The reason names a fault that occurred
 
 
 def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
@@ -203,9 +205,9 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
     if not reason:
         return
     at_s = min(truth.abort_s, NO_ABORT_S)
-    right = [PLACE_REASONS, *(str(fault.fields["right"]) for fault in truth.faults)]
+    patterns = [PLACE_REASONS, *(str(fault.fields["right"]) for fault in truth.faults)]
     if truth.froze_as_rest:
-        right.append(MOTION_REASONS)
-    is_right = any(re.search(pattern, reason, re.IGNORECASE) for pattern in right)
-    if not truth.day.plan.faults or not is_right:
+        patterns.append(MOTION_REASONS)
+    is_named = any(re.search(pattern, reason, re.IGNORECASE) for pattern in patterns)
+    if not truth.day.plan.faults or not is_named:
         yield Violation("reason", at_s, reason[:200])

@@ -253,8 +253,8 @@ def _print_cells(
         edge_note = "" if cell.free else ", was near the edge, so its turning rate a is unreliable"
         print(
             f"cell {cell.number} at ({cell.pose.x:.0f}, {cell.pose.y:.0f}) {unit}: "
-            f"a {cell.a:.2f} ± {NORMAL_QUANTILE * cell.a_sd:.2f} rad/s, speed "
-            f"{cell.speed:.0f} ± {NORMAL_QUANTILE * cell.speed_sd:.0f} {unit}/s{response_note}{edge_note}"
+            f"a {cell.a:.2f} ± {NORMAL_QUANTILE * cell.a_sd:.2f} rad/s, speed {cell.speed:.0f} "
+            f"± {NORMAL_QUANTILE * cell.speed_sd:.0f} {unit}/s{response_note}{edge_note}"
         )
     for first, second in pairs:
         print(f"cells {first.number} and {second.number} cannot be distinguished after they meet")

@@ -385,7 +385,7 @@ class EmulatedField(PluggedDevices):
         return self.driver.running
 
     @property
-    def record(self) -> dict[str, Any]:
+    def truth(self) -> dict[str, Any]:
         """The true field and currents, for the record.
 
         The keys are "field_mt" [mT] and "currents_a" [A], each for x and y, and "born", with x, y

@@ -197,7 +197,7 @@ def test_what_pictures_over_http_show_is_not_kept(tmp_path):
         over_http = replace(stage, wires=replace(stage.wires, http=True))
         camera = Watched(over_http, AprilTagSettings(), [])
         for picture in range(3):
-            assert camera._taken(picture) == picture
+            assert camera._draw_exposure(picture) == picture
         gc.collect()
     assert list(camera.shown_ns) == []
     assert [reference() for reference in kept if reference() is not None] == []

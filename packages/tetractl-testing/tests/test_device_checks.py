@@ -25,7 +25,7 @@ MM = 1 / (1000 * SETUP.metres)
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
     """Devices in virtual time do what they shall at once, or never."""
-    monkeypatch.setattr(device_checks, "EMULATED_S", 0.3)
+    monkeypatch.setattr(device_checks, "EMULATED_TIMEOUT_S", 0.3)
 
 
 def problems(check, *args):

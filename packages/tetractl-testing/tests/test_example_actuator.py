@@ -13,7 +13,7 @@ from tetractl.core.errors import AbortError
 @pytest.fixture
 def csv_actuator(monkeypatch):
     """The module of the example; devices in virtual time do at once what they shall, or never."""
-    monkeypatch.setattr(device_checks, "EMULATED_S", 0.3)
+    monkeypatch.setattr(device_checks, "EMULATED_TIMEOUT_S", 0.3)
     monkeypatch.syspath_prepend(ROOT / "examples" / "tetractl-example")
     from tetractl_example import csv_actuator
 

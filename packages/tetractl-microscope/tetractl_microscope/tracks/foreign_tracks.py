@@ -220,8 +220,8 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         time = AxisStep()
         if "time" in values and rate_hz is not None:
             _warn_of_other_times(path, values["time"], times / rate_hz, rate_hz, remarks)
-    um_across = factor(units["x"], MICROMETRES)
-    um_upwards = factor(units["y"], MICROMETRES)
+    um_across = find_factor(units["x"], MICROMETRES)
+    um_upwards = find_factor(units["y"], MICROMETRES)
     spots = np.column_stack([values["track"], times, values["x"], values["y"]])
     spots = spots[np.isfinite(spots).all(axis=1)]
     if not len(spots):

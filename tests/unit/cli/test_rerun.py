@@ -156,8 +156,8 @@ def rerun(monkeypatch):
         monkeypatch.setattr(salvage, "scan", lambda path: path)
         monkeypatch.setattr(reader, "trial_of", lambda raw: trial)
 
-        def run_command(spec, how, only):
-            done.spec, done.how, done.only = spec, how, only
+        def run_command(spec, how, only_trial):
+            done.spec, done.how, done.only = spec, how, only_trial
             return done.code, ROOT
 
         def compare(*_):

@@ -92,7 +92,7 @@ def test_words_of_the_glossary_are_met_by_users():
     glossary, _, _ = (ROOT / "docs/reference/words.md").read_text().partition("## Terms")
     words = re.findall(r"^\| ([^|]+) \| [A-Z]", glossary, re.M)
     pages = [ROOT / "docs/reference" / f"{name}.md" for name in ("cli", "spec", "outcomes")]
-    sources = [*pages, *(ROOT / "tetractl").rglob("*.py")]
+    sources = [*pages, *ROOT.glob("tetractl/**/*.py"), *ROOT.glob("packages/*/tetractl_*/**/*.py")]
     met = " ".join(path.read_text("utf-8") for path in sources)
     assert len(words) >= 20
     assert [w for word in words for w in word.split(", ") if w not in met] == []

@@ -78,7 +78,7 @@ def test_a_log_without_a_microscope_has_no_images():
 )
 def test_at_most_so_many_images_are_shown_at_even_distances_from_the_first(count, shown):
     log = log_of([(time, jpeg(8, 8)) for time in range(10)])
-    times = DishPictures(log, count).times
+    times = DishPictures(log, count).times_ns
     assert len(times) == shown
     assert times[0] == 0
     assert len(set(np.diff(times))) <= 1
@@ -89,7 +89,7 @@ def test_at_most_so_many_images_are_shown_at_even_distances_from_the_first(count
 )
 def test_the_image_of_a_time_is_the_last_one_taken_until_then(when, which):
     log = log_of([(time, jpeg(8, 8)) for time in (10, 20, 30)])
-    assert DishPictures(log).at(when) == which
+    assert DishPictures(log).index_at(when) == which
 
 
 @pytest.mark.parametrize(("size", "longer"), [((1500, 900), SHOWN_SIDE), ((300, 500), 500)])

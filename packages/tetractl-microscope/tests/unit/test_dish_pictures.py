@@ -26,14 +26,14 @@ def log(tmp_path_factory):
 @pytest.mark.long
 def test_a_picture_lies_where_its_cells_were_measured(log):
     pictures = DishPictures(log)
-    assert pictures.times == [time_ns for time_ns, _ in log.pictures]
+    assert pictures.times_ns == [time_ns for time_ns, _ in log.pictures]
     low, right, up = pictures.corners
     place = np.linalg.inv(np.column_stack([right - low, up - low]))
     cells = 0
-    for which, time_ns in enumerate(pictures.times):
+    for which, time_ns in enumerate(pictures.times_ns):
         grey = pictures.grey(which).astype(float)
         row = int(np.searchsorted(log.mocap_ns, time_ns))
-        assert pictures.at(time_ns) == which
+        assert pictures.index_at(time_ns) == which
         for i in np.flatnonzero(log.valid[row]):
             across, upwards = place @ (log.mocap[row, i, :2] - low)
             column = int(across * grey.shape[1])
@@ -41,7 +41,7 @@ def test_a_picture_lies_where_its_cells_were_measured(log):
             assert abs(grey[line, column] - np.median(grey)) > 15
             cells += 1
     assert cells >= 2
-    assert pictures.at(-1) == 0
+    assert pictures.index_at(-1) == 0
 
 
 def test_plot_and_page_have_the_picture(log):
@@ -59,7 +59,7 @@ def test_plot_and_page_have_the_picture(log):
 def test_what_cannot_be_decoded_is_left_out(log):
     time_ns, good = log.pictures[0]
     hostile = ((1, b""), (2, b"\xff\xd8" + bytes(99)), (3, good[:60]), (time_ns, good))
-    assert DishPictures(replace(log, pictures=hostile)).times == [time_ns]
+    assert DishPictures(replace(log, pictures=hostile)).times_ns == [time_ns]
     none = replace(log, pictures=hostile[:2])
     assert trial_data(none, "trial-000.mcap")["dish"] is None
     assert trajectory_figure([none]).axes[0].get_images() == []

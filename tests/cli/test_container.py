@@ -16,6 +16,7 @@ pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="only root can change the root folder"),
     pytest.mark.skipif(not shutil.which("debootstrap"), reason="debootstrap is not installed"),
 ]
+CHROOT = shutil.which("chroot") or "chroot"  # the container's PATH may lack its folder
 NETWORK_FILES = ("etc/resolv.conf", "etc/pip.conf", "etc/ssl/certs/ca-certificates.crt")
 """Files by which programs reach the network here."""
 
@@ -42,7 +43,7 @@ def container(tmp_path_factory):
     environment |= {name: value for name, value in os.environ.items() if name.startswith("PIP_")}
 
     def run(*command):
-        entered = ["chroot", str(root), "/bin/sh", "-c", 'cd "$0" && exec "$@"', folder, *command]
+        entered = [CHROOT, str(root), "/bin/sh", "-c", 'cd "$0" && exec "$@"', folder, *command]
         done = subprocess.run(entered, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout

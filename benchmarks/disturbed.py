@@ -1,6 +1,6 @@
 """Measures the closed loop under disturbances: tables of docs/reference/measured.md.
 
-    python benchmarks/disturbed.py --part ablation --seed 20261201             the gain from each part
+    python benchmarks/disturbed.py --part ablation --seed 20261201  gain from each part
     python benchmarks/disturbed.py --part knowledge --trials 40 --seed 60101    wrong assumptions
     python benchmarks/disturbed.py --part given --seed 20261130             after calibration
     python benchmarks/disturbed.py --part hurting --seed 60201              harmful disturbances

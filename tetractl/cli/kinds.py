@@ -26,8 +26,8 @@ def kinds(
         str | None,
         option(
             "MODULE:NAME",
-            "Check your own motion, or the section of your own shape, optimiser, "
-            "controller, disturbance, camera or actuator. Give it as module:NAME.",
+            "Check a class or object of your own: a motion, or the section of a shape, optimiser, "
+            "controller, disturbance, camera or actuator. NAME is its name in MODULE.",
         ),
     ] = None,
     spec: Annotated[

@@ -80,7 +80,10 @@ def run(
     if serve and jobs > 1:
         raise UsageError("--serve shows only one trial at a time", "leave out --jobs")
     if rate is not None and (serve or jobs > 1):
-        raise UsageError("--rate shows only one trial at a time", "leave out --serve and --jobs")
+        raise UsageError(
+            "--rate shows only one trial at a time",
+            "leave out --rate, or leave out --serve and --jobs",
+        )
     how = RunOptions(
         out=out,
         jobs=jobs,

@@ -272,7 +272,10 @@ class Guard:
             robot.start_run()
 
     def _enter(self, state: GuardState) -> None:
-        """Enter a state, unless the run is aborted, even by another thread at this moment."""
+        """Enter a state.
+
+        If the run is aborted, even by another thread at this moment, nothing happens.
+        """
         with self._state_lock:
             if self.state is not GuardState.ABORT:
                 self.state = state

@@ -500,7 +500,10 @@ def describe_transmission_fault(transmission: object, robots: int, now_ns: int) 
 
 
 def _is_loggable_integer(number: object) -> bool:
-    """Check whether a value is an integer that fits into a log."""
+    """Check whether a value is a Python int below NEVER in magnitude, so that it fits into a log.
+
+    Integers of NumPy are not accepted.
+    """
     return isinstance(number, int) and abs(number) < NEVER
 
 

@@ -57,10 +57,13 @@ class RigSection(LabSection):
         Args:
             setup: The constants of the experiment.
             clock: The clock of the run.
-            seed: Seed of an emulated lab.
+            seed: Seed of an emulated lab. Real labs ignore it.
             supervision: How people supervise the run. None if nobody does.
             chosen: Whether the robots of the trial still have to be found. Only an emulated lab
                 uses this.
+
+        Raises:
+            AbortError: If the devices of an emulated lab cannot be real and emulated one by one.
         """
         return build_rig(self, setup, clock, supervision.emergency if supervision else None)
 

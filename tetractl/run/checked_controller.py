@@ -91,7 +91,10 @@ class CheckedController:
             check_plan(checked, len(self._setup.names))
             for search in checked.searches:
                 if not 0 <= search.evaluations < 1 << 63:
-                    raise ValueError(f"a search has {search.evaluations} evaluations")
+                    raise ValueError(
+                        f"a search has {search.evaluations} evaluations, but the number must be "
+                        "from 0 to 2^63 - 1"
+                    )
             searched = sum(search.signals.size + search.history.size for search in checked.searches)
             if checked.signals.size + checked.path.size + searched > PLAN_SIZE_MAX:
                 raise ValueError(

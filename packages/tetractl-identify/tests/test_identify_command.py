@@ -113,7 +113,7 @@ def test_a_log_without_directions_is_left_out(command, capsys):
     assert command.fitted == (["directions of b.mcap"], "a of b.mcap", "dead time of b.mcap")
     assert "warning: a.mcap: this log has no direction" in capsys.readouterr().err
     command.undirected = (A, B)
-    with pytest.raises(UsageError, match="none of the logs has a direction"):
+    with pytest.raises(UsageError, match="no direction was sent in any of the logs"):
         identify([A, B])
 
 

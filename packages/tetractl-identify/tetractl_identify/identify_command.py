@@ -150,7 +150,10 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
         if first is None:
             first = trial
     if first is None:
-        raise UsageError("none of the logs has a direction that was sent")
+        raise UsageError(
+            "no direction was sent in any of the logs",
+            "give logs of trials in which the robots were steered",
+        )
     return tracks, first, damaged
 
 

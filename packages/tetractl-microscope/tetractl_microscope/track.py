@@ -46,8 +46,8 @@ def track(
         str | None,
         option(
             "NAME",
-            "Organism that swims, one of those that `tetractl kinds` lists. By default, the "
-            "organism with the most similar speed.",
+            "The organism in the recording, by its name in `tetractl kinds`. By default, the one "
+            "whose speed is closest to that of the cells.",
         ),
     ] = None,
     y_down: Annotated[

@@ -160,7 +160,8 @@ class TopicEnd:
                 self._arrivals.attach(ReadCondition(self._reader, unread))
         except core.DDSException as error:
             raise AbortError(
-                f"{self.topic.name}: {error.msg}", "is the name of the topic valid?"
+                f"{self.topic.name}: {error.msg}",
+                "check the topic's name: it may have letters, digits, _ and /",
             ) from None
 
     def close(self) -> None:

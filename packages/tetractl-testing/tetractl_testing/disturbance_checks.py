@@ -145,7 +145,10 @@ def _finite(value: Any) -> bool:
 
 
 def _flat(value: Any) -> Floats:
-    """Flatten a value, its fields and its entries to one array of numbers. None becomes NaN."""
+    """Flatten numbers, arrays, and nested dataclasses, tuples and lists of them to one array.
+
+    None becomes NaN. Anything else, such as a mapping or text, raises TypeError or ValueError.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         value = astuple(value)
     if isinstance(value, tuple | list):

@@ -65,7 +65,7 @@ class ToioActuator(WheeledActuator):
         """Report whether the cubes are emulated. It never reports a problem."""
         return Health(emulated=self.link.emulated)
 
-    def outputs(self, wished: Floats, may: Bools) -> CountArray:
+    def outputs(self, wished: Floats, may_move: Bools) -> CountArray:
         """Convert wheel speeds to units of motor speed.
 
         A wheel does not turn below SPEED_MIN units. The part of a speed that whole units or the
@@ -74,12 +74,12 @@ class ToioActuator(WheeledActuator):
 
         Args:
             wished: Wheel speeds, left and right, of N robots, shape (2, N) [mm/s].
-            may: Whether each robot may move, shape (N,).
+            may_move: Whether each robot may move, shape (N,).
 
         Returns:
             The motor speeds, shape (2, N).
         """
-        wished = wished * may
+        wished = wished * may_move
         exact = wished / self._gain
         exact /= np.maximum(1.0, np.abs(exact).max(axis=0) / self._limit)
         total = exact + self._owed

@@ -25,8 +25,9 @@ def is_cube(name_or_address: str, name: str | None, address: str) -> bool:
     """Check whether a Bluetooth advertisement belongs to the wanted cube.
 
     Args:
-        name_or_address: The cube's address, or its name such as `toio-M0p`, or only the last three
-            letters of its name.
+        name_or_address: The cube's address, in upper or lower case, or its name such as
+            `toio-M0p`, or only the last three letters of its name. Of a name, only the part after
+            the last hyphen is compared, and upper and lower case differ.
         name: Name in the advertisement. None if it has none.
         address: Address of the advertiser.
     """

@@ -102,7 +102,9 @@ class PortCamera(ABC):
                     "read; the first"
                 )
                 raise AbortError(
-                    f"{many}: {self._first_damaged}", "can the method `poses` read this format?"
+                    f"{many}: {self._first_damaged}",
+                    "check that the method `poses` reads the format in which the camera sends its "
+                    "messages",
                 )
             raise AbortError(self._port.failure or "no camera frame came", self.hint)
         return self

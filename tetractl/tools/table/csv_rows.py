@@ -51,8 +51,12 @@ class CsvRow:
 def read_csv(path: Path) -> Iterator[CsvRow]:
     """Yield the rows of a CSV file. Empty lines are left out.
 
+    A file without lines, or with comments only, yields nothing.
+
     Raises:
-        UsageError: If the file is not CSV, has no header, or is larger than the limits above.
+        UsageError: If the file does not exist, is compressed or not CSV, begins with numbers
+            instead of a header, has a column name twice, repeats its header, has a row with too
+            many entries, or is larger than the limits above.
     """
     try:
         yield from _parse_rows(path, csv_lines(path))

@@ -316,4 +316,7 @@ def _read_true_values(log: TrialLog, parameter: str) -> Floats | None:
         values = np.array(json.loads(fact), dtype=np.float64)
         if values.shape == log.start.setup.a.shape and np.isfinite(values).all():
             return values
-    raise LogError(f"{log.log}: the fact true_{parameter} must be a number for each robot")
+    raise LogError(
+        f"{log.log}: the plant's fact true_{parameter} must be a list with one finite number for "
+        "each robot"
+    )

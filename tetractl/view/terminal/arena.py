@@ -109,9 +109,9 @@ class Canvas:
         """Draw dots in a style. Those outside the canvas are left out.
 
         Args:
-            columns: Their columns.
-            rows: Their rows.
-            style: Their style.
+            columns: Their columns in braille dots from the left, ACROSS for each character.
+            rows: Their rows in braille dots from the top, DOWN for each character.
+            style: Their style, which each character touched takes as a whole.
         """
         inside = (columns >= 0) & (columns < ACROSS * self.width)
         inside &= (rows >= 0) & (rows < DOWN * self.height)

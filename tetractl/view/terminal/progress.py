@@ -42,8 +42,8 @@ class Tally:
     def add(self, result: Result) -> None:
         """Add the result of a finished trial.
 
-        Its total error is stored, and it is counted if it was aborted or if a robot entered an
-        obstacle.
+        Its total error is stored even if it was aborted. Aborted trials, and trials in which a
+        robot entered an obstacle, are counted separately. One trial can count as both.
         """
         self.errors.append(result.total_error)
         self.aborted += result.outcome == "aborted"

@@ -82,12 +82,15 @@ class ServerPorts:
     def open(self, bound: Callable[[str, int], Any], sender: str, multicast: bool) -> None:
         """Open both sockets.
 
-        A port of 0 is replaced by the free port that the system has chosen.
+        A port of 0 is replaced by the free port that the system has chosen. In multicast, a
+        `data_port` other than 0 remains the port to which frames are sent. An error that `bound`
+        raises, for example because a port is in use, is passed on. Call `close` then, because the
+        first socket may be open.
 
         Args:
             bound: Creates a socket that is bound to an address and port.
             sender: Address from which frames are sent.
-            multicast: Whether frames are sent by multicast.
+            multicast: Whether frames are sent by multicast, on the interface of `address`.
         """
         self.command = bound(self.address, self.command_port)
         self.command_port = _port(self.command)

@@ -126,7 +126,8 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
 
     A cell that was tracked under several numbers in turn occurs several times in `cells`.
     Therefore, n is the maximum number of cells that were seen at once, and the interval is that of
-    Student's t for this n.
+    Student's t for this n. With n < 3 there is no interval, and with n < 2 the standard deviation
+    is NaN. Median, range and tail are always unknown.
 
     Args:
         cells: One or more cells.

@@ -525,7 +525,10 @@ class Forecast(NamedTuple):
 
     @property
     def poses(self) -> Poses:
-        """The predicted poses at the moment when the next command acts on each robot."""
+        """The poses predicted by each robot's likeliest filter when the next command acts on it.
+
+        If its wheels lag, it is the pose at which it would come to rest if it stopped then.
+        """
         return Poses(self.x, self.y, self.heading)
 
     @property

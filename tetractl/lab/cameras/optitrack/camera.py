@@ -132,7 +132,9 @@ class OptitrackCamera:
         """Wait for frames, clock, axes and names, for at most `timeout_s` each.
 
         Raises:
-            AbortError: If something is missing. The error says what was received instead.
+            AbortError: If the server, its frames, a usable up axis, or names that the spec needs
+                are missing, if the server's protocol is too old, or if frames cease to come. A
+                missing clock is no error.
         """
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):

@@ -80,7 +80,7 @@ replay LOG --paused | --paused needs a terminal
 replay LOG --yes | No such option
 replay logs --loop | without a terminal, --loop accepts
 plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | use one of the endings .png, .svg, .pdf
-plot LOG -o a | needs an ending
+plot LOG -o a | the ending of the file name must state the format of the picture
 plot LOG -o folder.png | folder.png: this is a folder, but | name a file in this folder
 plot LOG --kind video -o folder.gif | folder.gif: this is a folder, but | name a file in this folder
 plot LOG -o nowhere/a.png | nowhere/a.png: the folder nowhere

@@ -177,6 +177,8 @@ class Ros2Camera:
                 f"{summary}; error of the first: {self._first_damaged}", "is `message` right?"
             )
         missing = self._describe_missing()
+        if self._frames_seen:
+            return AbortError("; ".join(missing), "is `frame` of the camera right?")
         return AbortError(missing[0] if missing else "no pose came", HINT)
 
     def _describe_missing(self) -> tuple[str, ...]:

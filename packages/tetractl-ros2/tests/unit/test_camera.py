@@ -146,6 +146,14 @@ def test_a_pose_in_another_frame_is_not_used_and_named():
     assert camera.frames()[-1].poses[1] is None
 
 
+def test_if_all_poses_are_in_another_frame_the_error_names_all_robots_and_the_field():
+    with pytest.raises(AbortError) as error:
+        camera_of("PoseStamped", both(SECOND, SECOND, frame="odom"))
+    assert "green's poses are in the frame odom, not world" in str(error.value)
+    assert "blue's poses are in the frame odom, not world" in str(error.value)
+    assert error.value.hint == "is `frame` of the camera right?"
+
+
 def test_a_slash_before_a_frame_is_the_same_frame():
     camera, _ = camera_of("PoseStamped", both(SECOND, SECOND, frame="/world"))
     assert not camera.check().problems

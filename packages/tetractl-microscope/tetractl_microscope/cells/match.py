@@ -158,7 +158,7 @@ def speck_costs(
         passed_s: Time since the previous image [s].
         organism: The organism.
     """
-    ahead = np.array([speck.ahead(seconds) for speck in specks]).reshape(-1, 1, 2)
+    ahead = np.array([speck.position_at(seconds) for speck in specks]).reshape(-1, 1, 2)
     reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
     length = organism.body_um[0] * max(1.0, organism.quickness * USUAL_HZ * passed_s)
     away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / length

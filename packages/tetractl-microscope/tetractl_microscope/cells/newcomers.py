@@ -19,16 +19,18 @@ from tetractl_microscope.cells.names import Names
 from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.readings import PATH
 from tetractl_microscope.cells.specks import (
-    BORN,
+    BLOBS_TO_JUDGE,
     Speck,
-    straight,
-    swims,
-    usual_size,
+    fit_uniform_motion,
+    is_swimming,
+    median_size,
 )
 from tetractl_microscope.organisms import Organism
 
 HIDDEN_S = 3.0  # time without a blob for which a speck with a whole path is kept
-FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum into it [lengths]
+EDGE_ENTRY_LENGTHS = (
+    2.3  # a new cell nearer than this to the picture's edge has swum into it [lengths]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ class FreeBlob:
     track_blob: TrackBlob
     speck: Speck | None
 
-    def entry(self, seconds: float) -> PathBlob:
+    def path_entry(self, seconds: float) -> PathBlob:
         """Convert the blob to an entry of a cell's path at a time [s].
 
         Its size is NaN if the image's edge cuts it off.
@@ -80,12 +82,12 @@ class Newcomers:
             speck.shift(x, y)
 
     def follow(
-        self, free: Sequence[FreeBlob], cells: Sequence[CellTrack], now: PictureNow
+        self, free_blobs: Sequence[FreeBlob], cells: Sequence[CellTrack], now: PictureNow
     ) -> list[CellTrack]:
         """Track specks with the blobs that belong to no cell.
 
         Args:
-            free: The blobs.
+            free_blobs: The blobs.
             cells: The tracked cells.
             now: The newest image.
 
@@ -93,24 +95,28 @@ class Newcomers:
             The cells that specks have become.
         """
         self.born = []
-        places = np.array([self._bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
+        cell_positions_um = np.array([self._bank.mean[cell.row, :2] for cell in cells]).reshape(
+            -1, 2
+        )
         new_cells = list[CellTrack]()
-        for free_blob in free:
-            gaps_um = np.linalg.norm(places - free_blob.track_blob.place[:2], axis=1)
-            nearest_um = float(gaps_um.min(initial=np.inf))
+        for free_blob in free_blobs:
+            distances_um = np.linalg.norm(
+                cell_positions_um - free_blob.track_blob.place[:2], axis=1
+            )
+            nearest_um = float(distances_um.min(initial=np.inf))
             speck = free_blob.speck
             if speck is None:
                 is_near = nearest_um < FROM_BLOB * self._body_um
-                near = cells[int(gaps_um.argmin())] if is_near else None
+                nearest_cell = cells[int(distances_um.argmin())] if is_near else None
                 self._last_number += 1
-                path = [free_blob.entry(now.seconds)]
-                self.specks.append(Speck(self._last_number, path, near))
+                path = [free_blob.path_entry(now.seconds)]
+                self.specks.append(Speck(self._last_number, path, nearest_cell))
                 continue
             was_hidden = now.seconds - speck.path[-1].seconds > now.brief_s
-            before = [] if was_hidden else speck.path[1 - PATH :]
-            speck.path = [*before, free_blob.entry(now.seconds)]
-            if swims(speck.path, self._organism):
-                cell = self._begin(speck, free_blob.track_blob, cells, now)
+            earlier_path = [] if was_hidden else speck.path[1 - PATH :]
+            speck.path = [*earlier_path, free_blob.path_entry(now.seconds)]
+            if is_swimming(speck.path, self._organism):
+                cell = self._turn_into_cell(speck, free_blob.track_blob, cells, now)
                 new_cells.append(cell)
         self._drop_hidden(now)
         return new_cells
@@ -119,8 +125,8 @@ class Newcomers:
         """Drop specks without a blob for HIDDEN_S, or for `brief_s` if their path is short."""
         remaining = list[Speck]()
         for speck in self.specks:
-            is_old = len(speck.path) == PATH
-            if speck.missed_s <= (HIDDEN_S if is_old else now.brief_s):
+            has_whole_path = len(speck.path) == PATH
+            if speck.missed_s <= (HIDDEN_S if has_whole_path else now.brief_s):
                 remaining.append(speck)
         self.specks = remaining
 
@@ -132,20 +138,20 @@ class Newcomers:
         newest = [speck.path[-1] for speck in self.specks if speck.missed_s < now.brief_s]
         return [(blob.x, blob.y) for blob in newest]
 
-    def awaited(self) -> list[CellTrack]:
+    def cells_awaiting_specks(self) -> list[CellTrack]:
         """Return the cells near which a speck was first seen that may still become a cell.
 
         A cell appears once for each such speck.
         """
         return [
-            speck.near
+            speck.first_near
             for speck in self.specks
-            if speck.near is not None and len(speck.path) <= BORN
+            if speck.first_near is not None and len(speck.path) <= BLOBS_TO_JUDGE
         ]
 
     # ---- a cell begins ----
 
-    def _begin(
+    def _turn_into_cell(
         self, speck: Speck, newest: TrackBlob, cells: Sequence[CellTrack], now: PictureNow
     ) -> CellTrack:
         """Turn a speck that swims into a cell.
@@ -157,13 +163,13 @@ class Newcomers:
             now: The newest image.
         """
         path = np.array(speck.path)
-        (speed_x, speed_y), fitted = straight(path[-BORN:])
+        (speed_x, speed_y), fitted = fit_uniform_motion(path[-BLOBS_TO_JUDGE:])
         x, y = fitted[-1].tolist()
         heading = math.atan2(speed_y, speed_x)
         cell = CellTrack(
             number=speck.number,
             row=self._bank.add(x, y, heading, math.hypot(speed_x, speed_y)),
-            size=usual_size(path),
+            size=median_size(path),
             last=path[-1, 1:3],
             path=speck.path,
             newest=newest,
@@ -173,10 +179,10 @@ class Newcomers:
             identity=self._names.take_number(),
         )
         divided = None
-        if speck.near is not None and speck.near in cells:
+        if speck.first_near is not None and speck.first_near in cells:
             since_s, first_x, first_y = path[0, :3].tolist()
-            has_entered = now.to_edge(first_x, first_y) < FROM_EDGE * self._body_um
-            divided = self._names.come_out(cell, speck.near, since_s, has_entered)
+            has_entered = now.to_edge(first_x, first_y) < EDGE_ENTRY_LENGTHS * self._body_um
+            divided = self._names.come_out(cell, speck.first_near, since_s, has_entered)
         self.specks.remove(speck)
         self.born.append(
             Born(

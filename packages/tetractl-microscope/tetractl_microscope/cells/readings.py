@@ -12,7 +12,7 @@ from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.picture_now import PictureNow
-from tetractl_microscope.cells.specks import usual_size
+from tetractl_microscope.cells.specks import median_size
 
 
 class Spread(NamedTuple):
@@ -78,7 +78,7 @@ def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
         cell.size_seen_s = seconds
     elif seconds - cell.size_seen_s > GROWN_S:
         # nothing else has left the blob: this is its size
-        cell.size = usual_size(np.array(cell.path))
+        cell.size = median_size(np.array(cell.path))
     has_two_areas = size.area_um2 > LARGE * cell.size.area_um2
     newest.is_large = has_two_areas or size.long > LONGER * cell.size.long
 

@@ -11,13 +11,20 @@ from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.organisms import Organism
 
-BORN = 5  # number of blobs after which a speck may be a cell
-WHOLE = 3  # fewest of these blobs that the picture's edge does not cut off
-SWUM = 0.23  # least way over these blobs [lengths]
-STRAY = 0.1  # largest distance of them from a line [lengths]
-MOTION = 4  # newest blobs that tell an object's motion
-STOPPED_S = 0.1  # time without a blob after which an object is expected where it was
-EVEN = 0.2  # relative variation of a cell's size
+BLOBS_TO_JUDGE = 5
+"""Number of blobs after which a speck may be a cell."""
+WHOLE_BLOBS_MIN = 3
+"""Minimum number of these blobs that the edge of the image does not cut off."""
+DISPLACEMENT_MIN = 0.23
+"""Minimum distance between the first and the last of these blobs [body lengths]."""
+DEVIATION_MAX = 0.1
+"""Maximum root mean square distance of these blobs from a uniform motion [body lengths]."""
+BLOBS_FOR_VELOCITY = 4
+"""Number of the newest blobs from which the velocity of an object is computed."""
+EXTRAPOLATION_MAX_S = 0.1
+"""Time without a blob after which an object is expected where it was last seen [s]."""
+SIZE_VARIATION_MAX = 0.2
+"""Maximum relative standard deviation of a cell's length and width."""
 
 
 @dataclass(slots=True, eq=False)
@@ -27,66 +34,73 @@ class Speck:
     Attributes:
         number: Its number.
         path: Its newest blobs.
-        near: The cell near which it was first seen. None if there was none.
+        first_near: The cell near which it was first seen. None if there was none.
         missed_s: Time since its last blob [s].
     """
 
     number: int
     path: list[PathBlob]
-    near: CellTrack | None = None
+    first_near: CellTrack | None = None
     missed_s: float = 0.0
 
-    def ahead(self, seconds: float) -> tuple[float, float]:
+    def position_at(self, seconds: float) -> tuple[float, float]:
         """Extrapolate the speck's motion to a time [s], and return the position x, y [um].
 
         After STOPPED_S without a blob, it is the last position.
         """
-        last = self.path[-1]
-        if len(self.path) < 2 or self.missed_s > STOPPED_S:
-            return last.x, last.y
-        first = self.path[max(0, len(self.path) - MOTION)]
-        ratio = (seconds - last.seconds) / max(last.seconds - first.seconds, 1e-3)
-        return last.x + (last.x - first.x) * ratio, last.y + (last.y - first.y) * ratio
+        newest = self.path[-1]
+        if len(self.path) < 2 or self.missed_s > EXTRAPOLATION_MAX_S:
+            return newest.x, newest.y
+        earlier = self.path[max(0, len(self.path) - BLOBS_FOR_VELOCITY)]
+        ratio = (seconds - newest.seconds) / max(newest.seconds - earlier.seconds, 1e-3)
+        return newest.x + (newest.x - earlier.x) * ratio, newest.y + (newest.y - earlier.y) * ratio
 
     def shift(self, x: float, y: float) -> None:
         """Shift the recorded path by x and y [um], after the camera has moved by this distance."""
         self.path = [blob.moved(x, y) for blob in self.path]
 
 
-def swims(entries: Sequence[PathBlob], organism: Organism) -> bool:
+def is_swimming(blobs: Sequence[PathBlob], organism: Organism) -> bool:
     """Check whether an object is a swimming organism.
 
     Its newest BORN blobs must have the organism's size, and move fast and straight.
     """
-    path = np.array(entries[-BORN:])
+    path = np.array(blobs[-BLOBS_TO_JUDGE:])
     body_um = organism.body_um[0]
-    moved = math.hypot(*(path[-1, 1:3] - path[0, 1:3]))
-    passed = path[-1, 0] - path[0, 0]
-    if len(path) < BORN or moved < max(SWUM * body_um, organism.slowest_um_s * passed):
+    displacement_um = math.hypot(*(path[-1, 1:3] - path[0, 1:3]))
+    elapsed_s = path[-1, 0] - path[0, 0]
+    if len(path) < BLOBS_TO_JUDGE or displacement_um < max(
+        DISPLACEMENT_MIN * body_um, organism.slowest_um_s * elapsed_s
+    ):
         return False
-    if np.isfinite(path[:, 4]).sum() < WHOLE:
+    if np.isfinite(path[:, 4]).sum() < WHOLE_BLOBS_MIN:
         return False
-    long, wide = usual_size(path)
-    (short, longest), (thin, thick) = organism.outline_um
-    if not (short < long < longest and thin < wide < thick):
+    length_um, width_um = median_size(path)
+    (length_min_um, length_max_um), (width_min_um, width_max_um) = organism.outline_um
+    if not (length_min_um < length_um < length_max_um and width_min_um < width_um < width_max_um):
         return False
-    _, fitted = straight(path)
-    strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
-    even = bool((np.nanstd(path[:, 4:6], axis=0) < (EVEN * long, EVEN * wide)).all())
-    return bool(even and strayed < STRAY * body_um)
+    _, line_um = fit_uniform_motion(path)
+    deviation_um = np.sqrt(np.mean(np.square(path[:, 1:3] - line_um)))
+    has_steady_size = bool(
+        (
+            np.nanstd(path[:, 4:6], axis=0)
+            < (SIZE_VARIATION_MAX * length_um, SIZE_VARIATION_MAX * width_um)
+        ).all()
+    )
+    return bool(has_steady_size and deviation_um < DEVIATION_MAX * body_um)
 
 
-def usual_size(path: Floats) -> BodySize:
+def median_size(path: Floats) -> BodySize:
     """Compute the median size of the blobs of a path (M, 6) that are not cut off.
 
     At least one must not be.
     """
     is_whole = np.isfinite(path[:, 4])
-    long, wide = np.median(path[is_whole, 4:6], axis=0).tolist()
-    return BodySize(long, wide)
+    length_um, width_um = np.median(path[is_whole, 4:6], axis=0).tolist()
+    return BodySize(length_um, width_um)
 
 
-def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
+def fit_uniform_motion(path: Floats) -> tuple[tuple[float, float], Floats]:
     """Fit a uniform motion to a path by least squares.
 
     Args:
@@ -95,8 +109,8 @@ def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
     Returns:
         The velocity x, y [um/s], and the fitted positions, shape (M, 2) [um].
     """
-    middle = path[:, :3].mean(axis=0)
-    times = path[:, 0] - middle[0]
-    off = path[:, 1:3] - middle[1:]
-    vx, vy = (times @ off / (times @ times)).tolist()
-    return (vx, vy), middle[1:] + times[:, None] * (vx, vy)
+    mean = path[:, :3].mean(axis=0)
+    times = path[:, 0] - mean[0]
+    offsets_um = path[:, 1:3] - mean[1:]
+    vx, vy = (times @ offsets_um / (times @ times)).tolist()
+    return (vx, vy), mean[1:] + times[:, None] * (vx, vy)

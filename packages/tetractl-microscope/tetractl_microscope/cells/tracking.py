@@ -33,7 +33,7 @@ from tetractl_microscope.cells.filter_update import update_filter
 from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl_microscope.cells.meetings import FROM_BLOB
 from tetractl_microscope.cells.names import Names
-from tetractl_microscope.cells.newcomers import FROM_EDGE, FreeBlob, Newcomers
+from tetractl_microscope.cells.newcomers import EDGE_ENTRY_LENGTHS, FreeBlob, Newcomers
 from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.readings import (
     BlobReading,
@@ -314,7 +314,7 @@ class CellTracker:
             return True
         body_um = self.bank.organism.body_um[0]
         x, y = self.bank.mean[cell.row, :2].tolist()
-        if now.to_edge(x, y) < FROM_EDGE * body_um:
+        if now.to_edge(x, y) < EDGE_ENTRY_LENGTHS * body_um:
             return True
         specks = self._newcomers.in_view(now)
         return any(math.dist(speck, (x, y)) < FROM_BLOB * body_um for speck in specks)
@@ -325,7 +325,7 @@ class CellTracker:
         for group in groups:
             for cell in group.cells:
                 places[cell.number] = group.newest.place[:3]
-        self._names.part(places, self._newcomers.awaited(), now.seconds)
+        self._names.part(places, self._newcomers.cells_awaiting_specks(), now.seconds)
         self._names.answer(now.seconds)
 
     # ---- step 6: cells are dropped ----

@@ -11,10 +11,10 @@ from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import HEADING, SPEED, X, Y
 from tetractl_microscope.cells.meetings import FROM_BLOB
 from tetractl_microscope.cells.names import Names
-from tetractl_microscope.cells.newcomers import FROM_EDGE, HIDDEN_S, FreeBlob, Newcomers
+from tetractl_microscope.cells.newcomers import EDGE_ENTRY_LENGTHS, HIDDEN_S, FreeBlob, Newcomers
 from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.readings import PATH
-from tetractl_microscope.cells.specks import BORN
+from tetractl_microscope.cells.specks import BLOBS_TO_JUDGE
 from tetractl_microscope.organisms import TETRAHYMENA
 
 LONG_UM, WIDE_UM = TETRAHYMENA.body_um
@@ -73,9 +73,9 @@ def blob_at(x, y, cut=False):
 def test_a_speck_that_swims_becomes_a_cell_at_its_place_with_its_speed(heading):
     dish = Dish()
     speck = dish.appear(900.0, 800.0)
-    assert dish.swim(speck, 900.0, 800.0, BORN - 2, heading) == []
+    assert dish.swim(speck, 900.0, 800.0, BLOBS_TO_JUDGE - 2, heading) == []
     assert dish.newcomers.born == []
-    way = SPEED_UM_S * STEP_S * (BORN - 2)
+    way = SPEED_UM_S * STEP_S * (BLOBS_TO_JUDGE - 2)
     x, y = 900 + way * math.cos(heading), 800 + way * math.sin(heading)
     (cell,) = dish.swim(speck, x, y, 1, heading)
     state = dish.bank.mean[cell.row]
@@ -121,29 +121,29 @@ def test_a_speck_is_near_the_nearest_cell_within_a_length_and_a_half(share, is_n
     dish.cell(1500.0, 400.0)
     cell = dish.cell(500.0, 500.0)
     speck = dish.appear(500.0, 500.0 + share * FROM_BLOB * LONG_UM)
-    assert speck.near is (cell if is_near else None)
-    assert dish.newcomers.awaited() == ([cell] if is_near else [])
+    assert speck.first_near is (cell if is_near else None)
+    assert dish.newcomers.cells_awaiting_specks() == ([cell] if is_near else [])
 
 
 def test_a_cell_is_awaited_until_the_speck_should_have_swum():
     dish = Dish()
     cell = dish.cell(500.0, 500.0)
     speck = dish.appear(510.0, 500.0)
-    dish.swim(speck, 510.0, 500.0, BORN - 1, speed=0.0)
-    assert len(speck.path) == BORN and dish.newcomers.awaited() == [cell]
+    dish.swim(speck, 510.0, 500.0, BLOBS_TO_JUDGE - 1, speed=0.0)
+    assert len(speck.path) == BLOBS_TO_JUDGE and dish.newcomers.cells_awaiting_specks() == [cell]
     dish.swim(speck, 510.0, 500.0, 1, speed=0.0)
-    assert dish.newcomers.awaited() == []
+    assert dish.newcomers.cells_awaiting_specks() == []
 
 
 @pytest.mark.parametrize(
-    ("from_edge", "divided"), [(0.9 * FROM_EDGE, False), (1.1 * FROM_EDGE, True)]
+    ("from_edge", "divided"), [(0.9 * EDGE_ENTRY_LENGTHS, False), (1.1 * EDGE_ENTRY_LENGTHS, True)]
 )
 def test_a_cell_from_another_s_blob_has_divided_unless_it_may_have_entered(from_edge, divided):
     dish = Dish()
     x = from_edge * LONG_UM
     mother = dish.cell(x, 800.0)
     speck = dish.appear(x, 800.0)
-    (cell,) = dish.swim(speck, x, 800.0, BORN - 1)
+    (cell,) = dish.swim(speck, x, 800.0, BLOBS_TO_JUDGE - 1)
     (born,) = dish.newcomers.born
     assert born.divided == (mother.identity if divided else None)
     assert (mother.certainty < 1.0) is divided
@@ -154,9 +154,9 @@ def test_a_cell_whose_mother_is_gone_has_not_divided():
     dish = Dish()
     mother = dish.cell(800.0, 800.0)
     speck = dish.appear(800.0, 800.0)
-    dish.swim(speck, 800.0, 800.0, BORN - 2)
+    dish.swim(speck, 800.0, 800.0, BLOBS_TO_JUDGE - 2)
     dish.cells.remove(mother)
-    way = SPEED_UM_S * STEP_S * (BORN - 2)
+    way = SPEED_UM_S * STEP_S * (BLOBS_TO_JUDGE - 2)
     dish.swim(speck, 800.0 + way, 800.0, 1)
     assert dish.newcomers.born[0].divided is None and mother.certainty == 1.0
 
@@ -204,6 +204,6 @@ def test_specks_move_with_the_content_of_the_image():
 
 @pytest.mark.parametrize("cut", [True, False])
 def test_a_blob_that_is_cut_off_has_no_size_in_a_path(cut):
-    entry = FreeBlob(blob_at(3.0, 4.0, cut), None).entry(1.5)
+    entry = FreeBlob(blob_at(3.0, 4.0, cut), None).path_entry(1.5)
     assert entry[:4] == (1.5, 3.0, 4.0, 0.2)
     assert math.isnan(entry.long) == math.isnan(entry.wide) == cut

@@ -365,7 +365,7 @@ def test_lost_commands_are_counted():
 def test_pooled_tracks_tell_more_than_one(monkeypatch):
     sets = (*NOISY, "plant.dead_time=0.1")
     tracks = [drive(seed, *sets, count=25).track for seed in (1, 2)]
-    monkeypatch.setattr(fit, "wider_of_blocks", lambda _: 0.0)  # blocks differ at random
+    monkeypatch.setattr(fit, "widening_from_blocks", lambda _: 0.0)  # blocks differ at random
     of_one = identify(tracks[:1], A_RAD_S)
     of_both = identify(tracks, A_RAD_S)
     assert of_both.commands == 2 * 25

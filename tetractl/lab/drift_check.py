@@ -68,7 +68,7 @@ CLIP_SIGMAS = 1.7
 """Number of standard deviations to which a residual is limited."""
 
 
-class Column:
+class DriftColumn:
     """Column indices of the regression matrix that the drift check fits to a robot's motion.
 
     Column 0 is the motion to be explained: what nominal wheels do not explain. Each further column
@@ -103,11 +103,11 @@ PRIOR_STD = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
 """Prior standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
 ERRORS_OF_CONSTANTS = np.zeros((3, len(PRIOR_STD)))
 """Converts the constants to errors of the left wheel, the right wheel and the heading, (3, 12)."""
-ERRORS_OF_CONSTANTS[:, Column.speed - 1] = (1, 1, 0)
-ERRORS_OF_CONSTANTS[:, Column.difference - 1] = (-1, 1, 0)
-ERRORS_OF_CONSTANTS[:, Column.heading - 1] = (0, 0, 1)
+ERRORS_OF_CONSTANTS[:, DriftColumn.speed - 1] = (1, 1, 0)
+ERRORS_OF_CONSTANTS[:, DriftColumn.difference - 1] = (-1, 1, 0)
+ERRORS_OF_CONSTANTS[:, DriftColumn.heading - 1] = (0, 0, 1)
 INVERSE_LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
-"""Inverse prior variances of the columns `Column.motion`, from the largest plausible motions."""
+"""Inverse prior variances of the columns `DriftColumn.motion`, from the largest plausible motions."""
 CHANGE_BLOCKS_MIN = 12
 """Minimum number of blocks since the beginning of a change before it is judged here.
 
@@ -193,7 +193,7 @@ class DriftCheck(GuardCheck):
         self.blocks = 0
         self._speed_max_mm_s = np.zeros(robots)  # greatest speeds commanded [mm/s]
         # the fit: sums of products of the columns, the constants and their covariance
-        self._sums = np.zeros((robots, Column.width, Column.width))
+        self._sums = np.zeros((robots, DriftColumn.width, DriftColumn.width))
         self._fit = np.zeros((robots, len(PRIOR_STD)))
         self._covariance = np.array([np.diag(np.square(PRIOR_STD))] * robots)
         # the grid: `_sums` at each moment since which a change is looked for. The keys are the
@@ -299,7 +299,7 @@ class DriftCheck(GuardCheck):
             The rates and their standard errors [rad/s], N entries each. The error is inf for robots
             that did not drive. Both are empty if no rate is known.
         """
-        column = Column.difference - 1
+        column = DriftColumn.difference - 1
         rate_per_error = (
             self._speed_max_mm_s / self._radius if self._radius else 0.0 * self._speed_max_mm_s
         )
@@ -324,7 +324,7 @@ class DriftCheck(GuardCheck):
             z (3,), in standard deviations, and its regressors on a shift, turn and growth of the
             image (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
-        columns = np.zeros((3, Column.width))
+        columns = np.zeros((3, DriftColumn.width))
         variance = self._pose_variance
         for earlier, later in pairwise(poses):
             dt_ns = later.exposed_ns - earlier.exposed_ns
@@ -336,11 +336,11 @@ class DriftCheck(GuardCheck):
             )
             columns = columns + step_columns[0]
             variance = variance + step_variance[0]
-        regressors = columns[:, Column.constants]
+        regressors = columns[:, DriftColumn.constants]
         variance = variance + np.einsum("rp,pq,rq->r", regressors, self._covariance[i], regressors)
         spread = np.sqrt(variance)
-        residual = columns[:, Column.residual] - np.einsum("rp,p->r", regressors, self._fit[i])
-        return residual / spread, columns[:, Column.picture] / spread[:, None]
+        residual = columns[:, DriftColumn.residual] - np.einsum("rp,p->r", regressors, self._fit[i])
+        return residual / spread, columns[:, DriftColumn.picture] / spread[:, None]
 
     # ---- the fit ----
 
@@ -374,25 +374,25 @@ class DriftCheck(GuardCheck):
         along = 0
         across = 1
         around = 2
-        columns = np.zeros((len(blocks), 3, Column.width))
-        columns[:, :, Column.residual] = motions
-        columns[:, along, Column.residual] -= speed
-        columns[:, around, Column.residual] -= turning
-        columns[:, along, Column.speed] = speed
-        columns[:, along, Column.difference] = turning * radius
-        columns[:, along, Column.aside] = turning
-        columns[:, along, Column.taps_along] = delay_effects[:, :, 0]
-        columns[:, across, Column.heading] = speed
-        columns[:, across, Column.forward] = turning
-        columns[:, around, Column.speed] = turning
-        columns[:, around, Column.radius] = turning
-        columns[:, around, Column.difference] = speed / radius if radius else 0.0
-        columns[:, around, Column.taps_around] = delay_effects[:, :, 1]
-        columns[:, :, Column.velocity] = np.eye(3) * dt_s[:, None, None]
-        columns[:, :2, Column.picture] = self._picture_moves(
+        columns = np.zeros((len(blocks), 3, DriftColumn.width))
+        columns[:, :, DriftColumn.residual] = motions
+        columns[:, along, DriftColumn.residual] -= speed
+        columns[:, around, DriftColumn.residual] -= turning
+        columns[:, along, DriftColumn.speed] = speed
+        columns[:, along, DriftColumn.difference] = turning * radius
+        columns[:, along, DriftColumn.aside] = turning
+        columns[:, along, DriftColumn.taps_along] = delay_effects[:, :, 0]
+        columns[:, across, DriftColumn.heading] = speed
+        columns[:, across, DriftColumn.forward] = turning
+        columns[:, around, DriftColumn.speed] = turning
+        columns[:, around, DriftColumn.radius] = turning
+        columns[:, around, DriftColumn.difference] = speed / radius if radius else 0.0
+        columns[:, around, DriftColumn.taps_around] = delay_effects[:, :, 1]
+        columns[:, :, DriftColumn.velocity] = np.eye(3) * dt_s[:, None, None]
+        columns[:, :2, DriftColumn.picture] = self._picture_moves(
             [block.before for block in blocks], dt_s
         )
-        columns[:, around, Column.picture.start + 2] = dt_s
+        columns[:, around, DriftColumn.picture.start + 2] = dt_s
         command_spread = np.ptp(at_taps[:, :COMPARED_DELAYS], axis=1)
         command_spread = command_spread[:, [0, 0, 1]] * dt_s[:, None]
         older_spread = np.abs(commanded[:, COMPARED_DELAYS:] - at_taps[:, :1]).max(axis=1)
@@ -433,14 +433,14 @@ class DriftCheck(GuardCheck):
         columns, variances = self._build_columns(blocks, motions)
         deviations = np.sqrt(self._pose_variance + variances)
         columns /= deviations[:, :, None]
-        regressors = columns[:, :, Column.constants]
+        regressors = columns[:, :, DriftColumn.constants]
         expected = product(regressors, self._fit[robots, :, None])[..., 0]
         spread_of_fit = product(regressors, self._covariance[robots]) * regressors
         bound = CLIP_SIGMAS * np.sqrt(1 + spread_of_fit.sum(axis=2))
-        residual = columns[:, :, Column.residual].copy()
-        columns[:, :, Column.residual] = np.clip(residual, expected - bound, expected + bound)
+        residual = columns[:, :, DriftColumn.residual].copy()
+        columns[:, :, DriftColumn.residual] = np.clip(residual, expected - bound, expected + bound)
         self._clipped_motion[robots, :2] = (
-            (residual - columns[:, :, Column.residual]) * deviations
+            (residual - columns[:, :, DriftColumn.residual]) * deviations
         )[:, :2]
         self._sums[robots] += product(columns.swapaxes(1, 2), columns)
 
@@ -451,10 +451,10 @@ class DriftCheck(GuardCheck):
         """
         sums = self._sums
         self._covariance = inverse(
-            sums[:, Column.constants, Column.constants] + np.diag(1 / np.square(PRIOR_STD))
+            sums[:, DriftColumn.constants, DriftColumn.constants] + np.diag(1 / np.square(PRIOR_STD))
         )
         self._fit = np.einsum(
-            "npq,nq->np", self._covariance, sums[:, Column.constants, Column.residual]
+            "npq,nq->np", self._covariance, sums[:, DriftColumn.constants, DriftColumn.residual]
         )
         self.worst = 0.0
         change = self._find_worst_change()
@@ -480,9 +480,9 @@ class DriftCheck(GuardCheck):
         if not sums_at_moments:
             return None
         sums = self._sums
-        explained = np.einsum("np,np->n", self._fit, sums[:, Column.constants, Column.residual])
+        explained = np.einsum("np,np->n", self._fit, sums[:, DriftColumn.constants, DriftColumn.residual])
         # what is left unexplained in all, shape (N,)
-        residual_squares = sums[:, Column.residual, Column.residual] - explained
+        residual_squares = sums[:, DriftColumn.residual, DriftColumn.residual] - explained
         degrees = 3.0 * max(self.blocks, 1)
         changes = self._compute_changes(np.array(sums_at_moments), residual_squares, degrees)
         own_motion = slice(0, 3)
@@ -521,11 +521,11 @@ class DriftCheck(GuardCheck):
             count: Number of these residuals.
         """
         since = self._sums - sums_at_moments
-        cross_sums = since[..., Column.constants, Column.motion]
+        cross_sums = since[..., DriftColumn.constants, DriftColumn.motion]
         explained = product(product(cross_sums.swapaxes(2, 3), self._covariance), cross_sums)
-        unexplained = since[..., Column.motion, Column.motion] - explained
+        unexplained = since[..., DriftColumn.motion, DriftColumn.motion] - explained
         pulls = (
-            since[..., Column.motion, Column.residual]
+            since[..., DriftColumn.motion, DriftColumn.residual]
             - product(self._fit[:, None], cross_sums)[..., 0, :]
         )
         noise = np.maximum(1.0, residual_squares / count)[:, None]

@@ -451,7 +451,8 @@ class DriftCheck(GuardCheck):
         """
         sums = self._sums
         self._covariance = inverse(
-            sums[:, DriftColumn.constants, DriftColumn.constants] + np.diag(1 / np.square(PRIOR_STD))
+            sums[:, DriftColumn.constants, DriftColumn.constants]
+            + np.diag(1 / np.square(PRIOR_STD))
         )
         self._fit = np.einsum(
             "npq,nq->np", self._covariance, sums[:, DriftColumn.constants, DriftColumn.residual]
@@ -480,7 +481,9 @@ class DriftCheck(GuardCheck):
         if not sums_at_moments:
             return None
         sums = self._sums
-        explained = np.einsum("np,np->n", self._fit, sums[:, DriftColumn.constants, DriftColumn.residual])
+        explained = np.einsum(
+            "np,np->n", self._fit, sums[:, DriftColumn.constants, DriftColumn.residual]
+        )
         # what is left unexplained in all, shape (N,)
         residual_squares = sums[:, DriftColumn.residual, DriftColumn.residual] - explained
         degrees = 3.0 * max(self.blocks, 1)

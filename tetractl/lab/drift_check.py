@@ -107,7 +107,7 @@ ERRORS_OF_CONSTANTS[:, DriftColumn.speed - 1] = (1, 1, 0)
 ERRORS_OF_CONSTANTS[:, DriftColumn.difference - 1] = (-1, 1, 0)
 ERRORS_OF_CONSTANTS[:, DriftColumn.heading - 1] = (0, 0, 1)
 INVERSE_LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
-"""Inverse prior variances of the columns `DriftColumn.motion`, from the largest plausible motions."""
+"""Inverse prior variances of the columns `DriftColumn.motion`, for the largest plausible motion."""
 CHANGE_BLOCKS_MIN = 12
 """Minimum number of blocks since the beginning of a change before it is judged here.
 

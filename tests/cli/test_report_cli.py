@@ -140,6 +140,7 @@ def test_it_opens_at_the_result_and_plays_from_the_start(page):
 
 @needs_chromium
 def test_it_scrubs_and_steps(page):
+    page.run("player.opened")
     page.run(
         "{ const s = document.getElementById('scrub'); s.value = 0.45;"
         " s.dispatchEvent(new Event('input')); }"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Self
 
+from tetractl.core.elementary import atan2, cos, sin
 from tetractl.core.poses import Pose
 
 Vec3 = tuple[float, float, float]
@@ -237,7 +238,7 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
         height = y
         sine = qw * qy - qx * qz
         lean = qx * qx + qz * qz
-    heading = math.atan2(2.0 * sine, 1.0 - 2.0 * (qy * qy + qz * qz))
+    heading = atan2(2.0 * sine, 1.0 - 2.0 * (qy * qy + qz * qz))
     tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * lean)))
     return Pose(x, along, math.remainder(heading + heading_offset, math.tau), height, tilt)
 
@@ -269,11 +270,11 @@ class Placement:
         planar = planar_pose(body, up, heading_offset)
         if planar is None:
             return None
-        cos = math.cos(self.rotation)
-        sin = math.sin(self.rotation)
+        cos_rotation = cos(self.rotation)
+        sin_rotation = sin(self.rotation)
         return Pose(
-            self.x + self.scale * (cos * planar.x - sin * planar.y),
-            self.y + self.scale * (sin * planar.x + cos * planar.y),
+            self.x + self.scale * (cos_rotation * planar.x - sin_rotation * planar.y),
+            self.y + self.scale * (sin_rotation * planar.x + cos_rotation * planar.y),
             math.remainder(planar.heading + self.rotation, math.tau),
             None if planar.height is None else self.scale * planar.height,
             planar.tilt,

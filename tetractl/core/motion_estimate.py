@@ -43,14 +43,14 @@ class PredictionErrors:
         rms: Root mean squares of the same deviations, shape (N, 3).
         late_s: By how much a robot turns later than predicted [s], shape (N,). NaN if that does not
             explain the deviations of its heading.
-        more: Fraction by which a robot turns more than predicted, shape (N,). NaN likewise.
+        extra_turn: Fraction by which a robot turns more than predicted, shape (N,). NaN likewise.
     """
 
     ahead_s: float
     mean: Floats
     rms: Floats
     late_s: Floats
-    more: Floats
+    extra_turn: Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,13 +184,13 @@ def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: st
     """
     column = INNOVATIONS.index(part)
     late_s = errors.late_s[robot]
-    more = errors.more[robot]
+    extra_turn = errors.extra_turn[robot]
     if part in OF_TURNING and not isnan(late_s):
         order = "later" if late_s > 0 else "earlier"
         return f"turns about {abs(late_s):.2f} s {order} than predicted"
-    if part in OF_TURNING and not isnan(more):
-        order = "more" if more > 0 else "less"
-        return f"turns about {100 * abs(more):.0f} % {order} than predicted"
+    if part in OF_TURNING and not isnan(extra_turn):
+        order = "more" if extra_turn > 0 else "less"
+        return f"turns about {100 * abs(extra_turn):.0f} % {order} than predicted"
     mean = errors.mean[robot, column]
     rms = errors.rms[robot, column]
     directions = DIRECTIONS[part]
@@ -215,13 +215,17 @@ def describe_unexplained(estimate: Estimate, setup: Setup, parts: Sequence[str])
         empty if the deviation is not known yet.
     """
     unexplained = estimate.unexplained(setup.names, parts)
+    errors = estimate.predictions
     descriptions: dict[str, str] = {}
     for part in parts:
         for i, name in enumerate(setup.names):
-            if f"{part} of {name}" in unexplained:
-                errors = estimate.predictions
-                deviation = errors and describe_deviation(errors, part, i, setup.unit)
-                descriptions[f"{part} of {name}"] = f" ({deviation})" if deviation else ""
+            label = f"{part} of {name}"
+            if label not in unexplained:
+                continue
+            descriptions[label] = ""
+            if errors is not None:
+                deviation = describe_deviation(errors, part, i, setup.unit)
+                descriptions[label] = f" ({deviation})"
     return descriptions
 
 

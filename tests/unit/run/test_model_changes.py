@@ -258,8 +258,8 @@ def test_a_deviation_is_described_with_size_and_direction(part, mean, rms, descr
     [
         ("late_s", 0.12, "turns about 0.12 s later than predicted"),
         ("late_s", -0.12, "turns about 0.12 s earlier than predicted"),
-        ("more", 0.3, "turns about 30 % more than predicted"),
-        ("more", -0.3, "turns about 30 % less than predicted"),
+        ("extra_turn", 0.3, "turns about 30 % more than predicted"),
+        ("extra_turn", -0.3, "turns about 30 % less than predicted"),
     ],
 )
 def test_a_turn_that_is_late_or_too_large_is_described_so(field, value, description):

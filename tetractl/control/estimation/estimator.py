@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tetractl.control.estimation.known_motion import KnownForecast, KnownMotion
-from tetractl.control.estimation.prediction_test import PredictionTest, SentStep
+from tetractl.control.estimation.prediction_check import PredictionCheck, SentStep
 from tetractl.control.estimation.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
@@ -65,7 +65,7 @@ class StateEstimator:
         """
         self._predictor = self.filter or KnownMotion(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
-        self._predictions = PredictionTest(period_s)
+        self._predictions = PredictionCheck(period_s)
         self._has_misfit = False  # whether the model did not fit at some time
         self._last_problem: Problem | None = None  # of all robots, in the step before
         self._last_sent_ns: int | None = None

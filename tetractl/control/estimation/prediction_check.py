@@ -68,7 +68,7 @@ class Comparison(NamedTuple):
     frame: Observation
 
 
-class PredictionTest:
+class PredictionCheck:
     """Compares predicted with measured poses of N robots in one trial.
 
     Predictions are computed only when `errors` is called, because most trials never need them.
@@ -79,10 +79,10 @@ class PredictionTest:
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
-        most = round(AHEAD_S / period_s) + 2
-        self._steps: deque[SentStep] = deque(maxlen=most)
+        steps_max = round(AHEAD_S / period_s) + 2
+        self._steps: deque[SentStep] = deque(maxlen=steps_max)
         self._pending: deque[Comparison] = deque(maxlen=round(MEMORY_S / period_s))
-        self._sums: Sums | None = None
+        self._sums: DeviationSums | None = None
 
     def clear(self) -> None:
         """Forget the last control steps, because robots have stood still or were replaced."""
@@ -93,8 +93,9 @@ class PredictionTest:
         self._steps.append(step)
         begun = [s for s in self._steps if s.acts_ns >= frame.sampled_ns - AHEAD_S * SECOND]
         followed = [s for s in begun if s.acts_ns < frame.sampled_ns]
-        long_enough = followed and frame.sampled_ns - followed[0].acts_ns > AHEAD_S / 2 * SECOND
-        if long_enough and frame.valid.all():
+        if not followed or not frame.valid.all():
+            return
+        if frame.sampled_ns - followed[0].acts_ns > AHEAD_S / 2 * SECOND:
             self._pending.append(Comparison(followed, frame))
 
     def errors(self) -> PredictionErrors | None:
@@ -103,12 +104,12 @@ class PredictionTest:
             comparison = self._pending.popleft()
             robots = len(comparison.frame.valid)
             if self._sums is None:
-                self._sums = Sums(robots)
+                self._sums = DeviationSums(robots)
             self._sums.add(comparison, self._period_s)
         return None if self._sums is None else self._sums.errors()
 
 
-class Sums:
+class DeviationSums:
     """Weighted sums of the deviations of N robots, and of what may explain those of the heading."""
 
     def __init__(self, robots: int) -> None:
@@ -138,9 +139,9 @@ class Sums:
         explained = np.square(self._effects) / possible
         fits = self._effects / np.maximum(self._cause_squares, TINY)
         best = explained == explained.max(axis=1, keepdims=True)
-        more, late_s = np.where(best & (explained > EXPLAINED_MIN), fits, np.nan).T
+        extra_turn, late_s = np.where(best & (explained > EXPLAINED_MIN), fits, np.nan).T
         rms = np.sqrt(self._squares / self._weight)
-        return PredictionErrors(AHEAD_S, self._deviations / self._weight, rms, late_s, more)
+        return PredictionErrors(AHEAD_S, self._deviations / self._weight, rms, late_s, extra_turn)
 
 
 def deviations_and_causes(comparison: Comparison, period_s: float) -> tuple[Floats, Floats]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from testkit.trials import experiment
 
-from tetractl.control.estimation.prediction_test import AHEAD_S, PredictionTest, SentStep
+from tetractl.control.estimation.prediction_check import AHEAD_S, PredictionCheck, SentStep
 from tetractl.control.search.evaluate import compiled_foresee
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Observation, Poses
@@ -48,7 +48,7 @@ def errors(late_s=0.0, a_factor=1.0, speed_factor=1.0, aside_s=0.0, seen=True):
     heading = path[:-1, :, 2]
     slide = aside_s * fine_s * PROBLEM.speed * np.array([-np.sin(heading), np.cos(heading)])
     path[1:, :, :2] += np.cumsum(slide, axis=1).transpose(1, 2, 0)
-    test = PredictionTest(PERIOD_S)
+    test = PredictionCheck(PERIOD_S)
     for k, direction in enumerate(directions):
         acts_ns = round(k * PERIOD_S * SECOND)
         poses = Poses.from_array(path[k * FINE])
@@ -70,7 +70,7 @@ def test_robots_that_move_as_predicted_do_not_deviate():
 def test_late_turns_are_found_with_about_their_lateness(late_s):
     found = errors(late_s=late_s)
     assert found is not None
-    assert np.isnan(found.more).all()
+    assert np.isnan(found.extra_turn).all()
     np.testing.assert_allclose(found.late_s, late_s, rtol=0.5)
 
 
@@ -79,8 +79,8 @@ def test_another_turning_rate_is_found_with_its_direction(a_factor):
     found = errors(a_factor=a_factor)
     assert found is not None
     assert np.isnan(found.late_s).all()
-    assert (np.sign(found.more) == np.sign(a_factor - 1)).all()
-    assert (np.abs(found.more) < 1.5 * abs(a_factor - 1)).all()
+    assert (np.sign(found.extra_turn) == np.sign(a_factor - 1)).all()
+    assert (np.abs(found.extra_turn) < 1.5 * abs(a_factor - 1)).all()
 
 
 def test_slow_robots_are_behind_and_sliding_ones_to_the_left():

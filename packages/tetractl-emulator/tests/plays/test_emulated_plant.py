@@ -60,7 +60,7 @@ def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path)
 def test_a_spec_of_the_emulated_plant_drives_the_lab_only_where_that_is_asked_for(tmp_path):
     spec = tmp_path / "spec.yaml"
     text = SPEC.read_text().replace("\nlab:\n", "\nlab:\n  type: emulated\n")
-    spec.write_text(text)
+    spec.write_text(text.replace("/dev/ttyUSB0", str(tmp_path / "radio")))
     done = tetractl(tmp_path, "run", spec, "--plant", "lab", "--yes")
     assert done.returncode == 1
     assert "there is no such port" in done.stderr

@@ -1,7 +1,6 @@
 """Tests of mistakes in calls of `tetractl lab emulate`: one line, an exit code, no side effects."""
 
 import shlex
-import shutil
 
 import pytest
 from testkit.cli import tetractl
@@ -25,7 +24,8 @@ ROWS = """
 def test_it_is_one_line_and_leaves_nothing(tmp_path, row):
     code, words, message = map(str.strip, row.split("|"))
     (tmp_path / "spec.yaml").write_text(QUICK)
-    shutil.copy(ROOT / "experiments" / "three_m3pi_lab.yaml", tmp_path / "lab.yaml")
+    text = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
+    (tmp_path / "lab.yaml").write_text(text.replace("/dev/ttyUSB0", str(tmp_path / "radio")))
     sockets = PORTS if words.startswith("lab") else ""
     done = tetractl(tmp_path, "lab", "emulate", *shlex.split(f"{words} {sockets}"))
     error, *hints = done.stderr.splitlines()

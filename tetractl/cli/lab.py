@@ -15,7 +15,7 @@ from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option,
 from tetractl.cli.unread import hang_up_without_reader
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
-from tetractl.lab.port_holder import stop_beside
+from tetractl.lab.port_holder import stop_and_end_holder
 from tetractl.lab.serial_port import PortHeldError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
@@ -120,7 +120,7 @@ def stop(
         except PortHeldError as held:
             if held.port in released:
                 raise
-            stop_beside(held.port, partial(stop_all, alone=False), ui.tell)
+            stop_and_end_holder(held.port, partial(stop_all, alone=False), ui.tell)
             released.add(held.port)
         else:
             typer.echo(sent)

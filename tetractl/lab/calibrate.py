@@ -178,7 +178,7 @@ class _CalibrationBench:
         """How much later than GAP_S a frame may come with this camera [s]."""
         rules_of_fast_robots = replace(
             rig.loop.guard.rules,
-            speeds=(FASTEST_MM_S / rig.mm,),
+            speeds=(FASTEST_MM_S / rig.mm_per_unit,),
             turning=(FASTEST_RAD_S,),
             silence_ns=SILENCE_S * SECOND,
         )
@@ -351,7 +351,9 @@ class _CalibrationBench:
             times_ns = [began_ns, *(pose.exposed_ns for pose in poses), end_ns]
             gap_max_ns = (GAP_S + self._frames_late_s) * SECOND
             if max(np.diff(times_ns)) <= gap_max_ns:  # none are missing
-                return _fit_steady_motion(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
+                return _fit_steady_motion(
+                    poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm_per_unit
+                )
             # drive back, so that the robot stays near its place
             self._hold(-counts)
             wait_for(self.rig.clock, self._abort_if_astray, seconds)
@@ -380,7 +382,7 @@ class _CalibrationBench:
         pose = None if newest is None else newest.poses[0]
         if pose is not None:
             self._home = self._home or pose
-            away_mm = pose.distance_to(self._home) * self.rig.mm
+            away_mm = pose.distance_to(self._home) * self.rig.mm_per_unit
             if away_mm > AWAY_MAX_MM:
                 guard.abort(f"the robot is {away_mm:.0f} mm from its first position")
         return bool(guard.reason)

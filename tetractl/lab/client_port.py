@@ -1,6 +1,6 @@
 """Base class for devices that are used like a serial port, but reached in another way.
 
-Such a device is reached through a manufacturer's library, or through another process.
+Such a device is reached through a manufacturer's library or through another process.
 """
 
 from abc import ABC, abstractmethod
@@ -13,32 +13,32 @@ from tetractl.lab.serial_port import SerialPort
 class ClientPort(SerialPort, ABC):
     """A port that receives messages from a manufacturer's library or from another process.
 
-    The spec calls it `name`. A thread calls `connect`, then `wait` again and again until the port
-    is closed, then `disconnect`. If one of these methods raises an exception, or calls `lost`, the
-    port has failed, and the trial ends. A subclass passes each message to `take`, either from this
-    thread or from threads of the library.
+    The port runs a thread. This thread calls `connect`, then `wait` again and again until the port
+    is closed, and finally `disconnect`. A subclass passes each message to `take`, either from this
+    thread or from threads of the library. If `connect` or `wait` raises an exception, or the
+    subclass calls `lost`, the port has failed, and the trial ends.
     """
 
     @abstractmethod
     def connect(self) -> None:
-        """Connect to the device. If this fails, raise an exception that says why."""
+        """Connect to the device. If this fails, raise an exception that explains why."""
 
     def wait(self) -> None:
-        """Wait for the next message and `take` it, if possible for at most about 0.1 s.
+        """Wait for the next message, and pass it to `take`. Return after about 0.1 s at most.
 
-        This method is not needed if the library uses callbacks.
+        If the library calls back with each message, a subclass need not define this method.
         """
         self._closing.wait(0.1)
 
     def disconnect(self) -> None:
-        """Release the client.
+        """Disconnect from the device, and release the library.
 
-        It is called once, even if `connect` has failed. Exceptions are ignored.
+        This is called once, even if `connect` has failed. Exceptions are ignored.
         """
 
     @property
     def name(self) -> str:
-        """The name of the port, as the spec gives it."""
+        """The name of the port in the spec."""
         return self._name
 
     def take(self, message: bytes, waited_ns: int = 0) -> None:
@@ -46,23 +46,24 @@ class ClientPort(SerialPort, ABC):
 
         Args:
             message: The message.
-            waited_ns: How long ago it arrived [ns].
+            waited_ns: How long ago the message arrived [ns].
         """
         self._on_received(message, self._clock.now() - waited_ns)
 
-    def lost(self, why: object) -> None:
-        """Report that the connection has failed for the reason `why`.
+    def lost(self, reason: object) -> None:
+        """Report that the connection to the device has failed, so that no more messages will come.
 
-        No more messages will come.
+        Args:
+            reason: Why the connection has failed. It is converted to a string.
         """
-        self._end(f"{self._device}: {why}")
+        self._report_failure(f"{self._device}: {reason}")
 
-    def open(self, alone: bool = True) -> None:
-        """Start the thread that connects and receives messages."""
+    def open(self, exclusive: bool = True) -> None:
+        """Start the thread that connects and receives messages. `exclusive` has no effect."""
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Send nothing, because messages arrive without a request. Returns the time [ns].
+        """Send nothing, because messages arrive without a request. Return the present time [ns].
 
         Raises:
             AbortError: If the port has failed.
@@ -72,13 +73,14 @@ class ClientPort(SerialPort, ABC):
         return self._clock.now()
 
     def _read(self) -> None:
+        """Connect and pass messages on until the port is closed. This runs in its own thread."""
         try:
             self.connect()
             while not (self._closing.is_set() or self.failure):
                 self.wait()
         except AbortError as error:
-            self._end(error.message)
-        except Exception as error:  # of a library, of which nothing is known
+            self._report_failure(error.message)
+        except Exception as error:  # a library may raise anything
             self.lost(str(error) or type(error).__name__)
         with suppress(Exception):
             self.disconnect()

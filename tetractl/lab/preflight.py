@@ -268,7 +268,7 @@ def _check_robot(
     pose = frame.pose(index) if frame is not None else None
     if pose is None:
         return RobotFinding(name, None, None, "", rig.describe_untracked(index), status)
-    off_mm = math.hypot(pose.x - starts.x[index], pose.y - starts.y[index]) * rig.mm
+    off_mm = math.hypot(pose.x - starts.x[index], pose.y - starts.y[index]) * rig.mm_per_unit
     turned = math.remainder(pose.heading - starts.heading[index], math.tau)
     misplaced = ""
     if off_mm > limits.start_mm:

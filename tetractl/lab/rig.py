@@ -33,7 +33,7 @@ class Rig:
         wake: The camera's own event, set after each frame. None for a new event.
         threaded: Whether the inner loop runs in a thread. Otherwise, the caller calls `loop.step`.
         emulated: Names of the devices that the plant emulates, whether or not they report it.
-        checks_of: Creates the guard's checks.
+        checks_of: Creates the guard's checks from its rules.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Rig:
         self._was_opened = False
 
     @property
-    def mm(self) -> float:
+    def mm_per_unit(self) -> float:
         """Number of millimetres in one length unit of the spec."""
         return self.setup.metres / MM
 
@@ -105,10 +105,10 @@ class Rig:
             raise
 
     def open_devices(self) -> dict[str, AbortError]:
-        """Open those of camera and actuator that are not open yet.
+        """Open the camera and the actuator, unless they are open already.
 
         Returns:
-            The errors of those that cannot be opened, by "actuator" or "camera".
+            The error of each device that cannot be opened, by its name: "actuator" or "camera".
         """
         failures = dict[str, AbortError]()
         for name, device in (("actuator", self.actuator), ("camera", self.camera)):
@@ -121,9 +121,9 @@ class Rig:
                 failures[name] = failure
         return failures
 
-    def call_after_close(self, act: Callable[[], object]) -> None:
-        """Register a function to be called once the devices are released."""
-        self._exit_stack.callback(act)
+    def call_after_close(self, callback: Callable[[], object]) -> None:
+        """Register a function that is called after the devices are released."""
+        self._exit_stack.callback(callback)
 
     def list_emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
         """Return which devices are emulated: a tuple with "camera", "actuator", both or neither.
@@ -135,10 +135,10 @@ class Rig:
         return tuple(name for name in reported if reported[name] or name in self._emulated)
 
     def settle(self, setup: Setup) -> None:
-        """Continue with a new setup, such as robots that were just found in the image.
+        """Continue with the robots of a new setup, for example robots just found in the image.
 
-        The devices must be prepared for these robots. Their present poses become their starts, and
-        the guard begins again.
+        The devices must be prepared for these robots. The robots' present poses become their
+        starts, and the guard begins again.
         """
         self.setup = setup
         self.start_anywhere()
@@ -147,16 +147,16 @@ class Rig:
 
     def start_anywhere(self) -> None:
         """Accept the robots' present poses as their starts, however far from the setup's."""
-        anywhere = {"start_mm": math.inf, "start_heading": math.inf}
-        self.limits = self.limits.model_copy(update=anywhere)
+        unlimited = {"start_mm": math.inf, "start_heading": math.inf}
+        self.limits = self.limits.model_copy(update=unlimited)
 
     @property
-    def left(self) -> list[int]:
+    def remaining_robots(self) -> list[int]:
         """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
 
     def describe_untracked(self, robot: int) -> str:
-        """Return a message that robot i is not tracked and, if known, why."""
+        """Describe for the operator that a robot, given by its index, is not tracked, and why."""
         reason = self.loop.guard.refused[robot]
         return f"{self.setup.names[robot]} is not tracked" + (f": {reason}" if reason else "")
 
@@ -169,9 +169,9 @@ class Rig:
         self._exit_stack.close()
 
     def measure_silence_ns(self) -> int:
-        """Return the time since the last accepted camera frame was received [ns].
+        """Measure how long ago the last accepted camera frame was received [ns].
 
-        Before the first frame, it is the time since the run's clock began.
+        Before the first frame, the result is the time since the run's clock started.
         """
         newest = self.loop.frames.newest
         return self.clock.now() - (0 if newest is None else newest.frame.received_ns)
@@ -186,7 +186,7 @@ def build_rig(
         lab: The section of the lab.
         setup: The constants of the experiment.
         clock: The clock of the run.
-        emergency: Setting this event triggers the emergency stop. None if nobody can.
+        emergency: The operator sets this event for an emergency stop. None if nobody can.
     """
     wake = threading.Event()
     camera = lab.camera.build(setup, clock, wake.set)

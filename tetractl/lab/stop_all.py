@@ -1,4 +1,4 @@
-"""The default way in which `tetractl lab stop` stops the robots of an actuator."""
+"""Stop all robots of an actuator, as `tetractl lab stop` does by default."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,7 +10,20 @@ from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, ActuatorSection
 
 
 def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Open the actuator and send ten emergency stops in 200 ms; see `ActuatorSection.stop_all`."""
+    """Open an actuator, and send ten emergency stops in 200 ms; see `ActuatorSection.stop_all`.
+
+    Args:
+        section: The actuator's section of the spec.
+        setup: The constants of the experiment, with the robots' names.
+        clock: The clock for the gaps between stops.
+        alone: Ignored, because the actuator always opens its port in the same way.
+
+    Returns:
+        A sentence that tells the operator how many stops were sent.
+
+    Raises:
+        AbortError: If a stop could not be sent to all robots.
+    """
     with section.build(setup, clock) as actuator:
         failure = send_stops(partial(actuator.stop, emergency=True), clock)
     if failure is not None:
@@ -28,11 +41,11 @@ def send_stops(
     Args:
         stop: Sends a stop to every robot.
         clock: The clock for the gaps.
-        are_ready: Returns whether all robots receive stops. Until then, stops are sent to those
-            that do.
+        are_ready: Returns whether all robots can be reached. Stops that are sent before that do not
+            count toward STOPS.
 
     Returns:
-        The first failure. None if there was none.
+        The error of the first stop that failed. None if no stop failed.
     """
     failure: AbortError | None = None
     remaining = STOPS

@@ -1,9 +1,11 @@
-"""A port to devices that take UDP datagrams, used like a serial port: `udp://host:port`.
+"""Ports to devices that receive UDP datagrams. They are used like serial ports.
 
-A datagram to a broadcast address reaches all devices of a network. UDP does not confirm delivery,
-and the remote computer may refuse a datagram if no device listens. Only datagrams from the address
-written to are received. At a broadcast address, those of any sender are received, because each
-device replies from its own address. `udp://:port` receives what anybody sends to this port of this
+The name of such a port is `udp://host:port`. UDP does not confirm delivery, and the remote computer
+may refuse a datagram if no device listens. The port receives only the datagrams that come from its
+own address. A datagram to a broadcast address reaches all devices of a network. Each of them
+replies from its own address, so a port with a broadcast address receives datagrams from any sender.
+
+A port named `udp://:port` only listens: it receives what anybody sends to this port of this
 computer, and sends nothing.
 """
 
@@ -21,127 +23,137 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import OnReceived, PortHeldError, SerialPort
 from tetractl.tools.files import lock_file as take_lock
 
-SCHEME = "udp://"  # beginning of an address of such a port
-PACKET_MAX = 1500  # most bytes of a datagram that are read: an Ethernet frame
-PORT_DIGITS = 5  # most digits of a port's number
-LOCKS = Path("/tmp")
+SCHEME = "udp://"
+"""Beginning of the name of a UDP port."""
+DATAGRAM_BYTES_MAX = 1500
+"""Maximum number of bytes of a datagram that are read. An Ethernet frame has no more."""
+PORT_DIGITS_MAX = 5
+"""Maximum number of digits of a port number."""
+LOCK_FOLDER = Path("/tmp")
 """Folder of lock files. It is the same for all users and terminals, whatever TMPDIR is."""
-REFUSALS_MAX = 3
+ATTEMPTS_MAX = 3
 """Maximum number of attempts to send a datagram.
 
-Each attempt may report the refusal of an earlier datagram.
+An attempt fails if the system reports the refusal of an earlier datagram.
 """
 
 
-def address_of(name: str) -> tuple[str, int] | None:
-    """Return the host and the port number of `udp://host:port`.
+def parse_address(name: str) -> tuple[str, int] | None:
+    """Parse the name `udp://host:port` of a UDP port.
 
-    None if the name has another form, or the host or port number is invalid.
+    Returns:
+        The host and the port number. None if the name has another form, or the host or the port
+        number is invalid.
     """
     host, _, digits = name.removeprefix(SCHEME).rpartition(":")
-    port = _port_number(digits)
+    port = _parse_port(digits)
     if not name.startswith(SCHEME) or not host or port is None:
         return None
     try:
-        host.encode("idna")  # as the system's resolver is asked
-    except UnicodeError:  # an empty or too long label, as in a..b
+        host.encode("idna")  # as the system's resolver encodes it
+    except UnicodeError:  # a label is empty, as in a..b, or too long
         return None
     return host, port
 
 
-def heard_at(name: str) -> int | None:
-    """Return the port number of `udp://:port`, on which this computer listens.
+def parse_listening_port(name: str) -> int | None:
+    """Parse the name `udp://:port` of a port on which this computer only listens.
 
-    None if the name has another form.
+    Returns:
+        The port number. None if the name has another form.
     """
-    to_all = f"{SCHEME}:"
-    return _port_number(name.removeprefix(to_all)) if name.startswith(to_all) else None
+    listening_prefix = f"{SCHEME}:"
+    return (
+        _parse_port(name.removeprefix(listening_prefix))
+        if name.startswith(listening_prefix)
+        else None
+    )
 
 
-def _port_number(digits: str) -> int | None:
-    """Parse the number of a port. None if the text is not a number."""
-    if not (digits.isascii() and digits.isdecimal()) or len(digits) > PORT_DIGITS:
+def _parse_port(digits: str) -> int | None:
+    """Parse a port number from 1 to 65535. The result is None if the digits are not one."""
+    if not (digits.isascii() and digits.isdecimal()) or len(digits) > PORT_DIGITS_MAX:
         return None
     number = int(digits)
     return number if 0 < number < 65536 else None
 
 
-def lock_file(name: str) -> Path:
-    """Return the file that a program locks while it uses the port of this name."""
-    tag = hashlib.sha256(name.encode()).hexdigest()[:16]
-    return LOCKS / f"tetractl-udp-{tag}.lock"
+def lock_file_of(name: str) -> Path:
+    """Return the path of the file that a program locks while it uses the port `name`."""
+    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+    return LOCK_FOLDER / f"tetractl-udp-{digest}.lock"
 
 
 def _open_lock(path: Path) -> int:
-    """Open a lock file in a folder that others can also write to, and return its descriptor.
+    """Open a lock file in a folder to which other users can also write. Return its descriptor.
 
-    A link, which would lead to a file of somebody else's choice, is refused, and so is anything
-    that is not a file. The file is opened for reading, which is enough for a lock: it may belong to
-    another user who shares the robots.
+    A link is refused, because it could lead to a file that another user has chosen. Anything else
+    that is not a regular file is refused as well. The file is opened for reading, which is enough
+    for a lock: the file may belong to another user who shares the robots.
 
     Raises:
-        OSError: If it cannot be opened.
+        OSError: If the file cannot be opened.
     """
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o644)
+        descriptor = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o644)
     except FileExistsError:
-        file = os.open(path, flags)
+        descriptor = os.open(path, flags)
     else:
-        os.fchmod(file, 0o644)  # other users can read it, whatever this user's umask
-    if not stat.S_ISREG(os.fstat(file).st_mode):
-        os.close(file)
+        os.fchmod(descriptor, 0o644)  # other users can read it, whatever this user's umask
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
         raise OSError(errno.EINVAL, "is not a regular file")
-    return file
+    return descriptor
 
 
-def hold(name: str) -> int:
-    """Lock the name of devices on the network, so that no other program can use them.
+def lock_address(name: str) -> int:
+    """Lock an address on the network, so that no other run on this computer drives its devices.
 
     Args:
-        name: An address, such as udp://HOST:PORT.
+        name: The address, such as udp://HOST:PORT.
 
     Returns:
-        The descriptor of the locked file; closing it ends the lock.
+        The descriptor of the locked file. Close it to end the lock.
 
     Raises:
-        PortHeldError: If another program has locked the name.
-        AbortError: If the file cannot be locked.
+        PortHeldError: If another program has locked the address.
+        AbortError: If the lock file cannot be opened or locked.
     """
-    lock = lock_file(name)
-    file = -1
+    lock_path = lock_file_of(name)
+    descriptor = -1
     try:
-        file = _open_lock(lock)
-        take_lock(file)
+        descriptor = _open_lock(lock_path)
+        take_lock(descriptor)
     except OSError as error:
-        if file >= 0:
-            os.close(file)
+        if descriptor >= 0:
+            os.close(descriptor)
         if isinstance(error, BlockingIOError):
-            raise PortHeldError(str(lock), name) from None
-        why = "is a link" if error.errno == errno.ELOOP else error.strerror
+            raise PortHeldError(str(lock_path), name) from None
+        problem = "is a link" if error.errno == errno.ELOOP else error.strerror
         raise AbortError(
-            f"{lock}: this lock file of {name} cannot be used: {why}",
+            f"{lock_path}: this lock file of {name} cannot be used: {problem}",
             "remove the file if it exists; otherwise, give this user permission to "
-            f"write to the folder {LOCKS}",
+            f"write to the folder {LOCK_FOLDER}",
         ) from None
-    return file
+    return descriptor
 
 
 class UdpPort(SerialPort):
-    """The devices at `udp://host:port`, as a port.
+    """A UDP port: the devices at `udp://host:port`, used like a serial port.
 
     The system may report that nobody received a datagram. Such a refusal belongs to an earlier
     datagram, so the port does not fail: the device may be starting, or be out of the network's
-    reach. The refusal is remembered until data arrives, because only some of many datagrams are
-    refused. An empty datagram, which anybody may send, is ignored.
+    reach. The port keeps the refusal in `refusal` until data arrives, because the system refuses
+    only some of many datagrams. An empty datagram, which anybody may send, is ignored.
 
     Args:
-        name: The address, `udp://host:port`.
-        baud: Without meaning here.
-        device: What is connected, for messages.
+        name: The address, `udp://host:port`, or `udp://:port` to listen only.
+        baud: Ignored. It is there because serial ports need it.
+        device: Description of the connected device, for messages.
         clock: The clock for times.
         on_received: Called with received bytes and their time [ns]; see `SerialPort`.
-        hint: The hint of the errors raised.
+        hint: The hint of each AbortError that the port raises.
     """
 
     def __init__(
@@ -149,59 +161,72 @@ class UdpPort(SerialPort):
     ) -> None:
         super().__init__(name, baud, device, clock, on_received, hint)
         self._socket: socket.socket | None = None
-        self._to: Any = None  # host and port
-        self._no_listener = f"no device listens at the address {name}"
-        self._locked: list[int] = []
+        self._destination: Any = None
+        """Resolved host and port number. None before `open`, and if the port only listens."""
+        self._refusal_message = f"no device listens at the address {name}"
+        self._lock_descriptors: list[int] = []
         """Descriptors of the lock files that this port has locked."""
 
-    def open(self, alone: bool = True) -> None:
-        """Open a socket and start to read.
+    def open(self, exclusive: bool = True) -> None:
+        """Open a socket, and start the thread that reads from it.
 
-        The name is locked before it is resolved, so that a run that uses it is noticed even if no
-        name can be resolved. Then the address is locked, which another program may know under
-        another name.
+        The name is locked before it is resolved. A run that uses the same name is therefore noticed
+        even if names cannot be resolved at the moment. Then the resolved address is locked, which
+        another program may know under another name.
+
+        Args:
+            exclusive: Whether to lock the address, so that no other run can use it.
 
         Raises:
-            PortHeldError: If `alone` is True and another program uses the devices at this address.
+            PortHeldError: If `exclusive` is True and another program has locked the address.
+            AbortError: If the address is invalid or cannot be reached.
         """
-        listening_port = heard_at(self._name)
+        listening_port = parse_listening_port(self._name)
         if listening_port is not None:
             self._listen(listening_port)
             return
-        address = address_of(self._name)
+        address = parse_address(self._name)
         if address is None:
             raise AbortError(f"{self._name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
-        if alone:
-            self._locked.append(hold(self._name))
+        if exclusive:
+            self._lock_descriptors.append(lock_address(self._name))
         try:
-            self._to = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+            self._destination = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][
+                4
+            ]
         except OSError as error:
-            why = f"{self._name}: {error.strerror}"
+            problem = f"{self._name}: {error.strerror}"
             raise AbortError(
-                why, "is the address right, and is this computer connected to the network?"
+                problem, "is the address right, and is this computer connected to the network?"
             ) from None
-        host, port = self._to
+        host, port = self._destination
         resolved_name = f"{SCHEME}{host}:{port}"
-        if alone and resolved_name != self._name:
-            self._locked.append(hold(resolved_name))
+        if exclusive and resolved_name != self._name:
+            self._lock_descriptors.append(lock_address(resolved_name))
         self._listen(0)
 
     def _listen(self, port: int) -> None:
-        """Read from a port of this computer. The number 0 means any free port.
+        """Bind the socket to a port of this computer, and start to read from it.
+
+        Args:
+            port: Number of the port. 0 for any free port.
 
         Raises:
-            AbortError: If another program reads from it.
+            AbortError: If another program already reads from the port.
         """
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(0.05)
         try:
             self._socket.bind(("", port))
         except OSError as error:
-            why = f"{self._name}: {error.strerror}"
-            raise AbortError(why, "does another program already listen on this port?") from None
-        if self._to is not None and not ipaddress.ip_address(self._to[0]).is_multicast:
+            problem = f"{self._name}: {error.strerror}"
+            raise AbortError(problem, "does another program already listen on this port?") from None
+        if (
+            self._destination is not None
+            and not ipaddress.ip_address(self._destination[0]).is_multicast
+        ):
             try:
-                self._socket.connect(self._to)  # what others send is not heard
+                self._socket.connect(self._destination)  # drops datagrams of other senders
             except PermissionError:  # a broadcast address, which the option below allows
                 pass
             except OSError as error:
@@ -217,10 +242,10 @@ class UdpPort(SerialPort):
         Raises:
             AbortError: If the port is not open, has failed, or every attempt is refused.
         """
-        with self._sending:
+        with self._write_lock:
             if self.failure or self._socket is None:
                 raise AbortError(self.failure or f"{self._name} is not open", self._hint)
-            if self._to is None:
+            if self._destination is None:
                 return self._clock.now()
             try:
                 self._send(self._socket, data)
@@ -228,7 +253,7 @@ class UdpPort(SerialPort):
                 raise self._fail(f"cannot be reached: {error.strerror or error}") from None
             return self._clock.now()
 
-    def _send(self, sender: socket.socket, data: bytes) -> None:
+    def _send(self, udp_socket: socket.socket, data: bytes) -> None:
         """Send a datagram, and try again up to REFUSALS_MAX times.
 
         The system may report a refusal that belongs to an earlier datagram, for example while a
@@ -237,14 +262,14 @@ class UdpPort(SerialPort):
         Raises:
             AbortError: If every attempt is refused.
         """
-        for _ in range(REFUSALS_MAX):
+        for _ in range(ATTEMPTS_MAX):
             try:
-                sender.sendto(data, self._to)
+                udp_socket.sendto(data, self._destination)
             except ConnectionRefusedError:
-                self.refusal = self._no_listener
+                self.refusal = self._refusal_message
             else:
                 return
-        raise AbortError(self._no_listener, self._hint)
+        raise AbortError(self._refusal_message, self._hint)
 
     def close(self) -> None:
         """End the reader's thread, close the socket and release the locks.
@@ -255,31 +280,33 @@ class UdpPort(SerialPort):
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-        while self._locked:
-            os.close(self._locked.pop())
+        while self._lock_descriptors:
+            os.close(self._lock_descriptors.pop())
 
     def _read(self) -> None:
+        """Pass received datagrams on until the port is closed. This runs in the reader's thread."""
         while not self._closing.is_set():
-            data = self._received()
+            data = self._receive()
             if data:
                 self._on_received(data, self._clock.now())
 
-    def _received(self) -> bytes:
-        """Wait at most 0.05 s for a datagram, and return it.
+    def _receive(self) -> bytes:
+        """Wait at most 0.05 s for a datagram, and return its bytes.
 
-        Empty if none arrives, or if the system reports that an earlier datagram was refused.
+        The result is empty if no datagram arrives, or if the system reports that an earlier one was
+        refused.
         """
         assert self._socket is not None
         try:
-            data = self._socket.recv(PACKET_MAX)
+            data = self._socket.recv(DATAGRAM_BYTES_MAX)
         except TimeoutError:
             return b""
         except ConnectionRefusedError:
-            self.refusal = self._no_listener
+            self.refusal = self._refusal_message
             return b""
         except OSError as error:
             self.refusal = f"{self._name}: {error.strerror or error}"
-            self._closing.wait(0.05)  # it may come again at once
+            self._closing.wait(0.05)  # the error may repeat at once
             return b""
         self.refusal = None
         return data
@@ -288,17 +315,17 @@ class UdpPort(SerialPort):
 def open_port(
     name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
 ) -> SerialPort:
-    """Create the port with this name, without opening it.
+    """Create the port with a name, without opening it.
 
-    It is a UDP port for `udp://...`, and a serial port otherwise.
+    The port is a UDP port if its name begins with `udp://`. Otherwise, it is a serial port.
 
     Args:
         name: Name of the port.
-        baud: Speed [bits per second]. Without meaning for UDP.
-        device: What is connected to it, for messages.
+        baud: Speed of a serial port [bits per second]. Ignored for UDP.
+        device: Description of the connected device, for messages.
         clock: The clock for times.
         on_received: Called with received bytes and their time [ns].
-        hint: The hint of the errors raised.
+        hint: The hint of each AbortError that the port raises.
     """
-    make = UdpPort if name.startswith(SCHEME) else SerialPort
-    return make(name, baud, device, clock, on_received, hint)
+    port_type = UdpPort if name.startswith(SCHEME) else SerialPort
+    return port_type(name, baud, device, clock, on_received, hint)

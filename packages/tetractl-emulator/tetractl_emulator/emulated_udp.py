@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from tetractl.core.errors import TetractlError
-from tetractl.lab.udp_port import PACKET_MAX, SCHEME, address_of, heard_at
+from tetractl.lab.udp_port import DATAGRAM_BYTES_MAX, SCHEME, parse_address, parse_listening_port
 from tetractl_emulator.port import PseudoPort
 
 
@@ -23,8 +23,8 @@ class UdpPlug(PseudoPort):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        address = address_of(name)
-        heard = heard_at(name)
+        address = parse_address(name)
+        heard = parse_listening_port(name)
         if address is None and heard is None:
             raise TetractlError(f"{name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
         self._number = address[1] if address else 0
@@ -72,7 +72,7 @@ class UdpPlug(PseudoPort):
         if self._socket is None:
             return b""
         with suppress(BlockingIOError):
-            data, self._sender = self._socket.recvfrom(PACKET_MAX)
+            data, self._sender = self._socket.recvfrom(DATAGRAM_BYTES_MAX)
             return b"" if self._stalled else data
         return b""
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import PortHeldError, SerialPort, is_network, missing_port
+from tetractl.lab.serial_port import PortHeldError, SerialPort, is_network, missing_port_error
 from tetractl_emulator.port import PseudoPort
 
 FIRST_FREE = 40_000
@@ -205,12 +205,12 @@ class MemorySerial(SerialPort):
         self._devices_end: MemoryPort | None = None  # None while it is closed
         self.bits_a_second = baud
 
-    def open(self, alone: bool = True) -> None:
-        """Open the port; see `SerialPort.open`. With `alone`, it must not be open already."""
+    def open(self, exclusive: bool = True) -> None:
+        """Open the port; see `SerialPort.open`. If `exclusive`, it must not be open."""
         devices_end = self._network.ports.get(str(self._name))
         if devices_end is None:
-            raise missing_port(self._name, self._device)
-        if devices_end.ours is not None and alone:
+            raise missing_port_error(self._name, self._device)
+        if devices_end.ours is not None and exclusive:
             raise PortHeldError(str(self._name))
         devices_end.ours = self
         self._devices_end = devices_end

@@ -18,8 +18,8 @@ from pydantic import Field
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
-from tetractl.lab.port_holder import holder
-from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.port_holder import find_holder
+from tetractl.lab.serial_port import PortFactory, SerialPort
 from tetractl.spec.base import Positive
 from tetractl_emulator.fault_rows import (
     CELL_REASONS,
@@ -51,7 +51,7 @@ class Process:
         ports: Creates a port, to try to open the actuator's port a second time.
     """
 
-    def __init__(self, lab: Any, clock: Clock, ports: Ports = SerialPort) -> None:
+    def __init__(self, lab: Any, clock: Clock, ports: PortFactory = SerialPort) -> None:
         self._lab = lab
         self._clock = clock
         self._ports = ports
@@ -88,7 +88,7 @@ class Process:
         Nothing happens if there is none, or if the function raises OSError.
         """
         with suppress(OSError):
-            if pid := holder(self._lab.port):
+            if pid := find_holder(self._lab.port):
                 act(pid)
 
     def run_again(self) -> None:
@@ -122,7 +122,7 @@ class ThisProcess(Process):
     def __init__(
         self,
         lab: Any,
-        ports: Ports,
+        ports: PortFactory,
         clock: Clock,
         supervision: LabSupervision,
         outlive: Callable[[Any], None],

@@ -12,7 +12,7 @@ from typing import Any
 
 from tetractl.core.clock import Clock, MonotonicClock
 from tetractl.core.errors import TetractlError
-from tetractl.lab.serial_port import Ports
+from tetractl.lab.serial_port import PortFactory
 from tetractl_emulator.emulated_udp import make_port
 from tetractl_emulator.port import PseudoPort
 
@@ -55,5 +55,5 @@ class Wires:
     port: Callable[[Path | str], PseudoPort] = make_port
     bound: Callable[[str, int], Any] = bound_udp
     http: bool = True
-    ports: Ports | None = None
+    ports: PortFactory | None = None
     make_socket: Callable[[Callable[[], None]], Any] | None = None

@@ -14,7 +14,7 @@ from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.optitrack.natnet import Placement, RigidBody, UpAxis
 from tetractl.lab.cameras.port_camera import PortCamera
-from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.serial_port import PortFactory, SerialPort
 from tetractl.spec.lab_section import entry
 from tetractl_motioncapture.process_port import ProcessPort
 from tetractl_motioncapture.section import MotionCaptureSection
@@ -47,7 +47,7 @@ class MotionCapture(PortCamera):
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        ports: Ports | None = None,
+        ports: PortFactory | None = None,
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
         self._bodies: list[str] = []

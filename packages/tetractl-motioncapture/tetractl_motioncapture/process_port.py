@@ -24,10 +24,10 @@ class ProcessPort(ClientPort):
 
     _process: Child | None = None
 
-    def open(self, alone: bool = True) -> None:
+    def open(self, exclusive: bool = True) -> None:
         """Start the child process and the thread that reads its output."""
         self._process = Child(python("tetractl_motioncapture.bridge", self._name), alone=True)
-        super().open(alone)
+        super().open(exclusive)
 
     def connect(self) -> None:
         """Do nothing, because the child process connects to the motion-capture system."""

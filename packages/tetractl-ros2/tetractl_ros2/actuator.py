@@ -22,7 +22,7 @@ from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import EMULATED_NAME, Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.own_robots import SpeedRobots
-from tetractl.lab.serial_port import UNREADABLE, PortGroup, Ports, SerialPort, stop_all_at
+from tetractl.lab.serial_port import UNREADABLE, PortFactory, PortGroup, SerialPort, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
 from tetractl_ros2.ros2_messages import (
@@ -68,7 +68,7 @@ class Ros2Robots(SpeedRobots):
         section: Ros2Section,
         setup: Setup,
         clock: Clock,
-        ports: Ports | None = None,
+        ports: PortFactory | None = None,
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.section = section

@@ -21,7 +21,7 @@ from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.stamp_clock import StampClock
-from tetractl.lab.serial_port import UNREADABLE, Ports
+from tetractl.lab.serial_port import UNREADABLE, PortFactory
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import drained
 from tetractl_ros2.body_readings import BodySighting, sightings, without_slash
@@ -73,7 +73,7 @@ class Ros2Camera:
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        ports: Ports | None = None,
+        ports: PortFactory | None = None,
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.section = section

@@ -40,8 +40,8 @@ from cyclonedds.topic import Topic as DdsTopic
 from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
-from tetractl.lab.serial_port import UNREADABLE, OnReceived, Ports
-from tetractl.lab.udp_port import hold
+from tetractl.lab.serial_port import UNREADABLE, OnReceived, PortFactory
+from tetractl.lab.udp_port import lock_address
 
 SCHEME = "ros2://"
 """Beginning of a port's name: ros2://DOMAIN/TOPIC."""
@@ -237,20 +237,21 @@ class TopicPort(ClientPort):
         self._lock: int | None = None  # descriptor of the file that is locked
         self._ready_ns = 0  # when it stops waiting for subscribers
 
-    def open(self, alone: bool = True) -> None:
+    def open(self, exclusive: bool = True) -> None:
         """Join the topic.
 
         A publisher is ready once somebody subscribes, or after DISCOVERY_S. If nobody subscribes,
         `refusal` says so.
 
         Raises:
-            PortHeldError: If `alone` is set, and another program on this computer publishes here.
+            PortHeldError: If `exclusive` is True, and another program on this computer publishes
+                here.
             AbortError: If the topic cannot be joined.
         """
-        if alone and self.end.topic.publishes:
-            self._lock = hold(self._name)
+        if exclusive and self.end.topic.publishes:
+            self._lock = lock_address(self._name)
         self.end.open()
-        super().open(alone)
+        super().open(exclusive)
         self._ready_ns = self._clock.now() + round(DISCOVERY_S * SECOND)
 
     def is_ready(self) -> bool:
@@ -274,7 +275,7 @@ class TopicPort(ClientPort):
         Raises:
             AbortError: If the topic is not open, or if DDS does not accept the message.
         """
-        with self._sending:
+        with self._write_lock:
             if self.failure:
                 raise AbortError(self.failure, self._hint)
             try:
@@ -309,7 +310,7 @@ def domain_of(name: str) -> int:
     return int(name.removeprefix(SCHEME).partition("/")[0])
 
 
-def ports_of(topics: Iterable[Topic]) -> Ports:
+def ports_of(topics: Iterable[Topic]) -> PortFactory:
     """Create a function that makes the port of one of these topics, given the port's name.
 
     A name of any other topic raises a `KeyError`.

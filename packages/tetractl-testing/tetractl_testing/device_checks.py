@@ -30,7 +30,7 @@ from tetractl.core.setup import Setup
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.guard_checks import ChecksOf
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.serial_port import PortFactory, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.spec.lab_section import ActuatorSection, CameraSection, LabLimits
 from tetractl.spec.section_abilities import OnPort
@@ -76,7 +76,7 @@ class SeenRobots:
     clock: Clock
     poses: Callable[[], Floats]
     hide: Callable[[str], None]
-    ports: Ports | None = None
+    ports: PortFactory | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class MovedRobots:
     clock: Clock
     moves: Callable[[], Sequence[bool]]
     unplug: Callable[[], None] | None
-    ports: Ports | None = None
+    ports: PortFactory | None = None
 
 
 def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None = None) -> None:
@@ -360,7 +360,7 @@ def _drop_input(port: int) -> None:
 class _Nowhere(SerialPort):
     """A port that accepts all bytes and leads to no device."""
 
-    def open(self, alone: bool = True) -> None:
+    def open(self, exclusive: bool = True) -> None:
         """Do nothing."""
 
     def write(self, data: bytes) -> int:

@@ -10,7 +10,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
-from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
+from tetractl.lab.serial_port import PortFactory, PortGroup, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
 from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
@@ -40,7 +40,7 @@ class ToioActuator(WheeledActuator):
     """
 
     def __init__(
-        self, section: ToioSection, setup: Setup, clock: Clock, ports: Ports | None = None
+        self, section: ToioSection, setup: Setup, clock: Clock, ports: PortFactory | None = None
     ) -> None:
         self.section = section
         robots = [entry(section.robots, name) for name in setup.names]

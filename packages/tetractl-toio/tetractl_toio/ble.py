@@ -61,8 +61,8 @@ class BluetoothPort(SerialPort):
         self._unpacker = Unpacker()
         self._collected = b""
 
-    def open(self, alone: bool = True) -> None:
-        """Find the cube and connect to it, within CONNECT_S seconds. `alone` is ignored.
+    def open(self, exclusive: bool = True) -> None:
+        """Find the cube and connect to it, within CONNECT_S seconds. `exclusive` is ignored.
 
         Raises:
             AbortError: If the cube is not found or does not answer.

@@ -12,7 +12,7 @@ from tetractl.core.errors import AbortError, WireError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.lab.serial_port import Ports
+from tetractl.lab.serial_port import PortFactory
 from tetractl.lab.udp_port import SCHEME
 from tetractl.spec.lab_section import entry
 from tetractl_toio.cubes import HINT, UDP_HINT, CubesLink
@@ -90,7 +90,7 @@ class ToioCamera:
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        ports: Ports | None = None,
+        ports: PortFactory | None = None,
     ) -> None:
         self.section = section
         self.setup = setup

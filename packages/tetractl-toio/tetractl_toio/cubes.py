@@ -10,7 +10,7 @@ from functools import partial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import OnReceived, Ports, SerialPort
+from tetractl.lab.serial_port import OnReceived, PortFactory, SerialPort
 from tetractl.lab.udp_port import SCHEME, UdpPort
 from tetractl_toio.messages import SAME_EVENT_S, Characteristic, Unpacker, is_refusal, pack
 
@@ -35,7 +35,7 @@ class Cubes:
         ports: Creates the port to a cube.
     """
 
-    def __init__(self, clock: Clock, ports: Ports) -> None:
+    def __init__(self, clock: Clock, ports: PortFactory) -> None:
         self._ports = ports
         self.emulated = False  # whether a cube has said so
         self._clock = clock
@@ -144,7 +144,7 @@ class CubesLink:
         self,
         clock: Clock,
         cubes: Sequence[str],
-        ports: Ports | None,
+        ports: PortFactory | None,
         on_received: Callable[[int, int, bytes, int], None],
     ) -> None:
         self.cubes = cubes
@@ -208,11 +208,11 @@ class EmulatedCubePort(UdpPort):
         assert self._socket is not None
         while not self._closing.is_set():
             with suppress(TimeoutError, ConnectionError):
-                data = self._received()
+                data = self._receive()
                 at_ns = self._clock.now()
                 self._closing.wait(SAME_EVENT_S)
                 while select.select([self._socket], [], [], 0)[0]:
-                    data += self._received()
+                    data += self._receive()
                 self._on_received(data, at_ns)
 
 

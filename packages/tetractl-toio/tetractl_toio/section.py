@@ -151,8 +151,8 @@ class ToioSection(ActuatorSection):
 
 def _addresses(robots: Sequence[CubeOfCamera]) -> Iterator[tuple[Loc, str]]:
     """Yield an error for each emulated cube whose name is not a valid UDP address."""
-    from tetractl.lab.udp_port import SCHEME, address_of
+    from tetractl.lab.udp_port import SCHEME, parse_address
 
     for i, robot in enumerate(robots):
-        if robot.cube.startswith(SCHEME) and address_of(robot.cube) is None:
+        if robot.cube.startswith(SCHEME) and parse_address(robot.cube) is None:
             yield ("robots", i, "cube"), f"must be {SCHEME}HOST:PORT"

@@ -72,7 +72,7 @@ def held(monkeypatch):
         return "stopped 3 robots"
 
     monkeypatch.setattr(module, "_stops", lambda *_: stop_all)
-    monkeypatch.setattr(module, "stop_beside", lambda port, *_: asked.beside.append(port))
+    monkeypatch.setattr(module, "stop_and_end_holder", lambda port, *_: asked.beside.append(port))
     return asked
 
 

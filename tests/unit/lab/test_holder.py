@@ -12,7 +12,7 @@ from testkit.running import PATIENCE_S, TETRACTL, environment
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.lab import port_holder as module
-from tetractl.lab.port_holder import command_line, holder, stop_beside
+from tetractl.lab.port_holder import command_line, find_holder, stop_and_end_holder
 from tetractl.lab.serial_port import PortHeldError, SerialPort
 
 pytestmark = [
@@ -63,14 +63,14 @@ def hold(tmp_path, port):
 def stopping(port):
     """Stop next to the holder; return what was said."""
     said = []
-    stop_beside(port, lambda: "sent stops", said.append)
+    stop_and_end_holder(port, lambda: "sent stops", said.append)
     return "\n".join(said)
 
 
 def test_the_holder_of_a_port_is_known(port, hold):
-    assert holder(port) is None
+    assert find_holder(port) is None
     process = hold("tetractl")
-    assert holder(port) == process.pid
+    assert find_holder(port) == process.pid
     assert command_line(process.pid)[2] == port
 
 
@@ -106,7 +106,7 @@ def test_stops_are_sent_before_anything_is_said(port, hold):
         events.append("stops")
         return "sent stops"
 
-    stop_beside(port, stops, events.append)
+    stop_and_end_holder(port, stops, events.append)
     assert events[0] == "stops"
     assert "has this port open" in events[1]
 
@@ -159,7 +159,7 @@ def test_a_held_port_takes_bytes_of_a_second_opener_that_asks_for_that(port, hol
     opener = SerialPort(port, 57600, "the radio", MonotonicClock(), lambda data, t: None, "")
     with pytest.raises(PortHeldError, match="another program has this port open"):
         opener.open()
-    opener.open(alone=False)
+    opener.open(exclusive=False)
     try:
         assert opener.write(b"stop") > 0
     finally:
@@ -176,12 +176,12 @@ def test_that_no_stop_could_be_sent_next_to_another_program_is_said(port, hold):
     with pytest.raises(
         AbortError, match="so it is not ended; the stops failed as well: the radio is stuck"
     ):
-        stop_beside(port, refused, lambda line: None)
+        stop_and_end_holder(port, refused, lambda line: None)
 
 
 def test_a_holder_that_is_not_known_is_sent_stops_over_and_told_of(port, hold, monkeypatch):
     process = hold("tetractl")
-    monkeypatch.setattr(module, "holder", lambda port: None)
+    monkeypatch.setattr(module, "find_holder", lambda port: None)
     with pytest.raises(AbortError, match="another program still has the port"):
         stopping(port)
     assert process.poll() is None

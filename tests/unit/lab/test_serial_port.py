@@ -15,7 +15,7 @@ from tetractl.lab.serial_port import (
     PortHeldError,
     SerialPort,
     is_network,
-    missing_port,
+    missing_port_error,
     require_port,
 )
 
@@ -80,7 +80,7 @@ def test_a_port_that_another_program_has_is_refused_unless_it_may_be_shared(ends
         second.open()
     assert caught.value.port == ends[1]
     shared = port_at(ends[1], heard)
-    shared.open(alone=False)
+    shared.open(exclusive=False)
     shared.close()
 
 
@@ -154,7 +154,7 @@ def test_what_is_no_port_is_refused_with_its_reason(heard, tmp_path):
     ],
 )
 def test_the_reason_why_a_port_cannot_be_opened_is_the_systems(error, message, ends):
-    why = serial_port._cannot_open(ends[1], "the radio", error)
+    why = serial_port._explain_failed_open(ends[1], "the radio", error)
     assert why.message == f"{ends[1]}: {message}"
 
 
@@ -162,7 +162,7 @@ def test_a_port_that_must_exist_does_or_is_named(ends):
     require_port(ends[1], "the radio")
     with pytest.raises(AbortError, match="none: there is no such port") as caught:
         require_port("/dev/none", "the radio")
-    assert caught.value.hint == missing_port("/dev/none", "the radio").hint
+    assert caught.value.hint == missing_port_error("/dev/none", "the radio").hint
     assert caught.value.hint == "is the radio plugged in?"
 
 

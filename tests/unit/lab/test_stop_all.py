@@ -158,7 +158,7 @@ def command(monkeypatch, stopped):
                 ports.held.remove(port)
 
         monkeypatch.setattr(lab, "_stops", lambda *_: partial(stopped, ports))
-        monkeypatch.setattr(lab, "stop_beside", end)
+        monkeypatch.setattr(lab, "stop_and_end_holder", end)
         return lab.stop(), ended
 
     return lab_stop

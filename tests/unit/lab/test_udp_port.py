@@ -11,9 +11,9 @@ import pytest
 
 from tetractl.core.clock import MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.lab.port_holder import holder
+from tetractl.lab.port_holder import find_holder
 from tetractl.lab.serial_port import PortHeldError, SerialPort, stop_all_at
-from tetractl.lab.udp_port import REFUSALS_MAX, UdpPort, address_of, lock_file, open_port
+from tetractl.lab.udp_port import ATTEMPTS_MAX, UdpPort, lock_file_of, open_port, parse_address
 from tetractl.spec.lab_section import STOPS
 
 PATIENCE_S = 60
@@ -62,7 +62,7 @@ def port_to(heard):
 
         yield make
     for name in names:
-        lock_file(name).unlink(missing_ok=True)
+        lock_file_of(name).unlink(missing_ok=True)
 
 
 @pytest.fixture
@@ -95,8 +95,8 @@ def test_a_second_program_is_refused_and_the_first_is_found(name, open_to, port_
     open_to(name)
     with pytest.raises(PortHeldError) as held:
         port_to(name).open()
-    assert holder(held.value.port) == os.getpid()
-    port_to(name).open(alone=False)
+    assert find_holder(held.value.port) == os.getpid()
+    port_to(name).open(exclusive=False)
 
 
 def test_an_unknown_host_is_one_line(port_to):
@@ -121,7 +121,7 @@ def test_an_unknown_host_is_one_line(port_to):
     ],
 )
 def test_names(name, address):
-    assert address_of(name) == address
+    assert parse_address(name) == address
 
 
 def test_a_port_is_chosen_by_its_name():
@@ -222,7 +222,7 @@ def test_a_link_in_the_place_of_the_lock_is_not_followed(port_to, tmp_path):
     """Regression: in the shared temporary folder, another user chose which file was opened."""
     name = "udp://127.0.0.1:9758"
     victim = tmp_path / "victim"
-    lock_file(name).symlink_to(victim)
+    lock_file_of(name).symlink_to(victim)
     with pytest.raises(AbortError, match=r"tetractl-udp.*: is a link"):
         port_to(name).open()
     assert not victim.exists()
@@ -251,7 +251,7 @@ def test_a_second_program_that_spells_the_address_in_another_way_is_refused(
     second = port_to(name.replace("127.0.0.1", second_host))
     with pytest.raises(PortHeldError) as held:
         second.open()
-    assert holder(held.value.port) == os.getpid()
+    assert find_holder(held.value.port) == os.getpid()
     second.close()
     first.close()
     second.open()  # a closed port holds neither spelling
@@ -277,7 +277,7 @@ def test_other_users_can_read_a_lock(name, open_to):
     umask = os.umask(0o077)
     try:
         open_to(name)
-        assert lock_file(name).stat().st_mode & 0o777 == 0o644
+        assert lock_file_of(name).stat().st_mode & 0o777 == 0o644
     finally:
         os.umask(umask)
 
@@ -298,7 +298,7 @@ def test_a_datagram_that_is_not_sent_has_no_time_of_sending(name, open_to, monke
     for _ in range(2):
         with pytest.raises(AbortError, match="no device listens"):
             port.write(b"stop")
-    assert RefusedSocket.tries == 2 * REFUSALS_MAX
+    assert RefusedSocket.tries == 2 * ATTEMPTS_MAX
     assert port.failure is None
 
 
@@ -315,6 +315,6 @@ def test_all_devices_are_heard_at_a_broadcast_address(open_to, heard):
 
 def test_a_pipe_in_the_place_of_the_lock_is_refused_at_once(port_to):
     name = "udp://127.0.0.1:9757"
-    os.mkfifo(lock_file(name))
+    os.mkfifo(lock_file_of(name))
     with pytest.raises(AbortError, match="is not a regular file"):
         port_to(name).open()

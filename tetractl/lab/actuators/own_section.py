@@ -1,4 +1,4 @@
-"""Base class of the spec's fields for your own robots, with two wheels and a port each."""
+"""Base class of the spec's section for your own robots: two wheels, and one port for each robot."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -15,14 +15,17 @@ class OwnRobot(SpeedRobot):
     """The spec's entry for one of your own two-wheeled robots: its wheels and its address."""
 
     address: str = Field(min_length=1, max_length=500)
-    """Where its commands go: udp://HOST:PORT, or a serial port such as /dev/rfcomm0."""
+    """Port that the robot's commands are sent to: udp://HOST:PORT, or a serial port.
+
+    An example of a serial port is /dev/rfcomm0.
+    """
 
 
 class OwnSection(SpeedSection):
     """Robots on two wheels, each with its own port.
 
-    A subclass names its `OwnRobots` in `device`, and defines `type`. If entries have more fields,
-    it also defines `robots`.
+    A subclass names its subclass of `OwnRobots` in `device`, and defines `type`. If the entries of
+    its robots have more fields, it also defines `robots`.
     """
 
     stopping: ClassVar[str] = "tetractl.lab.actuators.own_robots:stop_all"
@@ -38,12 +41,12 @@ class OwnSection(SpeedSection):
 
         The robots, addresses, wheels, speeds and rate are checked.
         """
-        from tetractl.lab.udp_port import SCHEME, address_of
+        from tetractl.lab.udp_port import SCHEME, parse_address
 
         yield from mismatches(self.robots, setup.names, self.unique)
         yield from self.wheel_contradictions(setup, self.robots)
         for i, robot in enumerate(self.robots):
-            if robot.address.startswith(SCHEME) and address_of(robot.address) is None:
+            if robot.address.startswith(SCHEME) and parse_address(robot.address) is None:
                 yield ("robots", i, "address"), f"must be {SCHEME}HOST:PORT"
         if setup.watchdog_s > self.watchdog_s:
             text = (

@@ -11,7 +11,7 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.stamp_clock import StampClock
-from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
+from tetractl.lab.serial_port import UNREADABLE, PortFactory, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
 from tetractl.spec.section_abilities import Addressed
 from tetractl.tools.worker import drained
@@ -46,7 +46,7 @@ class PortCamera(ABC):
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        ports: Ports | None = None,
+        ports: PortFactory | None = None,
     ) -> None:
         self.section = section
         self.setup = setup

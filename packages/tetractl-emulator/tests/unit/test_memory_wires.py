@@ -136,7 +136,7 @@ def test_a_port_is_held_by_one_program_unless_the_next_does_not_ask_to_be_alone(
     with pytest.raises(AbortError):
         wire.end().open()
     second = wire.end()
-    second.open(alone=False)
+    second.open(exclusive=False)
     second.close()
     wire.end().open()  # nobody holds it any more
 
@@ -188,6 +188,6 @@ def test_a_stalled_port_takes_no_bytes_until_it_takes_them_again():
     assert wire.device.read() == b"AT"
     wire.device.stall(False)
     fresh = wire.end()
-    fresh.open(alone=False)
+    fresh.open(exclusive=False)
     fresh.write(b"VR")
     assert wire.device.read() == b"VR"

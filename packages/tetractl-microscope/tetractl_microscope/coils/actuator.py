@@ -20,7 +20,7 @@ from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import Ports
+from tetractl.lab.serial_port import PortFactory
 from tetractl.model.motion.exact import rates
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 from tetractl_microscope.coils.driver import (
@@ -70,7 +70,7 @@ class FieldActuator:
     halts = False
 
     def __init__(
-        self, section: FieldSection, setup: Setup, clock: Clock, ports: Ports | None = None
+        self, section: FieldSection, setup: Setup, clock: Clock, ports: PortFactory | None = None
     ) -> None:
         self.section = section
         self.coils = section.coils

@@ -17,7 +17,7 @@ from enum import IntFlag
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import WireError
 from tetractl.lab.cobs import Flag, Splitter, checked_flags, pack_fields, unpack_fields
-from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.serial_port import PortFactory, SerialPort
 
 COMMAND = 0x53
 REPLY = 0x54
@@ -132,7 +132,9 @@ class Driver:
         ports: Creates the serial port. None for `SerialPort`.
     """
 
-    def __init__(self, port: str, baud: int, clock: Clock, ports: Ports | None = None) -> None:
+    def __init__(
+        self, port: str, baud: int, clock: Clock, ports: PortFactory | None = None
+    ) -> None:
         self.newest: FieldReply | None = None
         self._clock = clock
         make = ports or SerialPort
@@ -176,16 +178,16 @@ class Driver:
         newest = self.newest
         return newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status
 
-    def open(self, alone: bool = True) -> None:
+    def open(self, exclusive: bool = True) -> None:
         """Open the port.
 
         Args:
-            alone: Whether to open it exclusively.
+            exclusive: Whether to lock the port, so that no other process can open it.
 
         Raises:
             AbortError: If the port cannot be opened.
         """
-        self._port.open(alone)
+        self._port.open(exclusive)
 
     def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
         """Send a command, which also polls the driver.

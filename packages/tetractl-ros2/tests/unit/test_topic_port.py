@@ -47,7 +47,7 @@ class PlayedEnd:
 @pytest.fixture
 def ports_to(monkeypatch):
     """Make a port for each time at which a robot subscribes; at the end they are closed."""
-    monkeypatch.setattr("tetractl_ros2.topic_port.hold", lambda name: None)
+    monkeypatch.setattr("tetractl_ros2.topic_port.lock_address", lambda name: None)
     with contextlib.ExitStack() as closing:
 
         def make(*appear_ns):

@@ -211,8 +211,8 @@ class Module:
     def __call__(self, module, clock):
         return self
 
-    def open(self, checked, alone):
-        self.calls.append(("open", checked, alone))
+    def open(self, checked, exclusive):
+        self.calls.append(("open", checked, exclusive))
         if self.failing:
             raise AbortError("no port")
 

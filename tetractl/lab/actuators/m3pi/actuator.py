@@ -16,7 +16,7 @@ from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSec
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import Ports
+from tetractl.lab.serial_port import PortFactory
 from tetractl.model.wheels import CountArray, Drivetrains
 from tetractl.spec.lab_section import entry
 
@@ -34,7 +34,7 @@ class M3piActuator(WheeledActuator):
     """
 
     def __init__(
-        self, section: M3piSection, setup: Setup, clock: Clock, ports: Ports | None = None
+        self, section: M3piSection, setup: Setup, clock: Clock, ports: PortFactory | None = None
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
         self.link = Link(section, clock, ports)

@@ -20,7 +20,7 @@ from tetractl.lab import cobs
 from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.serial_port import SWITCH_OFF
+from tetractl.lab.serial_port import SWITCH_OFF_HINT
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 
@@ -198,7 +198,7 @@ def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
     """
     link = Link(module, clock)
     try:
-        link.open(checked=False, alone=alone)
+        link.open(checked=False, exclusive=alone)
         robots = Broadcaster(link, clock, ())
         for _ in range(STOPS):
             robots.send(cobs.Flag.EMERGENCY_STOP)
@@ -207,7 +207,7 @@ def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
             raise AbortError(
                 f"sent {STOPS} stops on {module.port}, but no XBee module answers at "
                 f"{module.baud} baud",
-                f"is this really the module's baud rate? {SWITCH_OFF}",
+                f"is this really the module's baud rate? {SWITCH_OFF_HINT}",
             )
     finally:
         link.close()

@@ -9,7 +9,7 @@ from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
-from tetractl.lab.serial_port import Ports
+from tetractl.lab.serial_port import PortFactory
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
 
@@ -25,7 +25,7 @@ class TwistActuator(WheeledActuator):
     """
 
     def __init__(
-        self, section: TwistSection, setup: Setup, clock: Clock, ports: Ports | None = None
+        self, section: TwistSection, setup: Setup, clock: Clock, ports: PortFactory | None = None
     ) -> None:
         self.section = section
         self.link = TwistLink(section, setup.names, clock, ports)

@@ -19,7 +19,7 @@ from tetractl.lab.actuators.twist.lines import (
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import Reply, polled
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import OnReceived, PortGroup, Ports, stop_all_at
+from tetractl.lab.serial_port import OnReceived, PortFactory, PortGroup, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.tools.worker import WAITING_MAX, drained
 
@@ -44,7 +44,7 @@ class TwistLink(PortGroup):
         section: TwistSection,
         names: Sequence[str],
         clock: Clock,
-        ports: Ports | None = None,
+        ports: PortFactory | None = None,
     ) -> None:
         self._clock = clock
         self._kind: Kind = "T" if section.sends == "twist" else "W"

@@ -75,7 +75,7 @@ class TwistSection(ActuatorSection):
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the field and message of each problem with robots, numbers, ports or wheels."""
-        from tetractl.lab.udp_port import SCHEME, address_of
+        from tetractl.lab.udp_port import SCHEME, parse_address
 
         indexed = [
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
@@ -88,7 +88,7 @@ class TwistSection(ActuatorSection):
             if robot.port is not None:
                 ports.append((("robots", i, "port"), robot.port))
         for loc, port in ports:
-            if port.startswith(SCHEME) and address_of(port) is None:
+            if port.startswith(SCHEME) and parse_address(port) is None:
                 yield loc, f"must be {SCHEME}HOST:PORT"
 
     def require_port(self) -> None:

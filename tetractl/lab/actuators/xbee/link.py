@@ -15,7 +15,7 @@ from tetractl.lab.actuators.xbee.hardware import (
     protocol,
     protocols,
 )
-from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.serial_port import PortFactory, SerialPort
 from tetractl.tools.worker import WAITING_MAX, drained
 
 MODULE_LOST_HINT = (
@@ -35,7 +35,7 @@ class Link:
         ports: Creates the serial port. None for `SerialPort`.
     """
 
-    def __init__(self, radio: XbeeSection, clock: Clock, ports: Ports | None = None) -> None:
+    def __init__(self, radio: XbeeSection, clock: Clock, ports: PortFactory | None = None) -> None:
         self.radio = radio
         self.questions: tuple[str, ...] = ()
         self._decoder = frames.Decoder()
@@ -52,17 +52,17 @@ class Link:
         """Why nothing can be sent any more. None if there is no fault."""
         return self._port.failure
 
-    def open(self, checked: bool = True, alone: bool = True) -> None:
+    def open(self, checked: bool = True, exclusive: bool = True) -> None:
         """Open the port, and check the radio module.
 
         Args:
             checked: Whether to check the module. This sets `questions` for the operator.
-            alone: Whether to open the port exclusively.
+            exclusive: Whether to lock the port, so that no other process can open it.
 
         Raises:
             AbortError: If the port cannot be opened, or the module is unsuitable.
         """
-        self._port.open(alone)
+        self._port.open(exclusive)
         if checked:
             self.questions = self._check()
 

@@ -87,7 +87,7 @@ def test_a_module_with_the_right_firmware_passes_without_a_question(answers, bau
 def test_the_port_is_opened_as_exclusively_as_asked_and_an_unchecked_module_is_left_alone():
     for alone in (True, False):
         module = Module({})
-        linked(module).open(checked=False, alone=alone)
+        linked(module).open(checked=False, exclusive=alone)
         assert module.alone is alone
         assert module.requests == []
 

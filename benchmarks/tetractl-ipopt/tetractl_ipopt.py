@@ -204,7 +204,7 @@ class Scene:
         field = np.array([-np.inf, -np.inf, np.inf, np.inf])
         boxes: list[Floats] = []
         region: Any = problem.obstacles
-        if region.inside is not None:  # the walls of the arena
+        if region.inner_bounds is not None:  # the walls of the arena
             margins = np.array([-1.0, -1.0, 1.0, 1.0]) * WALL_GAP * unit
             field = (region.walls - margins) / unit
         for shape in region.shapes:

@@ -9,42 +9,44 @@ Kernels compile these functions, and plain Python code calls them as they are, w
 `elementary_arrays` has the same functions for arrays. The error of each function is at most 8 units
 in the last place.
 
-The functions are Taylor series, after the argument has been reduced to a small range:
+The functions are Taylor series, after the argument x has been reduced to a small range. There, r
+is the remainder, and k a whole number:
 
-    sin, cos     x - k pi/2 in [-pi/4, pi/4], for the nearest whole number k
-    exp, expm1   x - k ln 2 in [-ln(2)/2, ln(2)/2]
+    sin, cos     x = k pi/2 + r, with r in [-pi/4, pi/4]
+    exp, expm1   x = k ln 2 + r, with r in [-ln(2)/2, ln(2)/2]
     log          x = m 2^k with sqrt(1/2) <= m < sqrt(2); ln m = 2 atanh((m - 1)/(m + 1))
-    atan         the nearest of 0, pi/8, ..., pi/2 is taken off the angle: less than pi/16 is left
+    atan         the nearest of 0, pi/8, ..., pi/2 is subtracted from the angle, so that less than
+                 pi/16 remains
 """
 
 import math
 
-# Tables of the reduction: a first part with few digits, whose product with k is exact, and the
-# rest.
+# Constants of the reduction. pi/2 and ln 2 are sums of several numbers. All but the smallest have
+# few digits, so that their products with k are exact.
 TWO_OVER_PI = 2 / math.pi
-HALF_PI_1 = float.fromhex("0x1.921fb544p+0")
-HALF_PI_2 = float.fromhex("0x1.0b4611a6p-34")
-HALF_PI_3 = float.fromhex("0x1.3198a2e037073p-69")
+HALF_PI_HIGH = float.fromhex("0x1.921fb544p+0")
+HALF_PI_MIDDLE = float.fromhex("0x1.0b4611a6p-34")
+HALF_PI_LOW = float.fromhex("0x1.3198a2e037073p-69")
 ONE_OVER_LN_2 = float.fromhex("0x1.71547652b82fep+0")
 LN_2 = float.fromhex("0x1.62e42fefa39efp-1")
-LN_2_1 = float.fromhex("0x1.62e42feep-1")
-LN_2_2 = float.fromhex("0x1.a39ef35793c76p-33")
+LN_2_HIGH = float.fromhex("0x1.62e42feep-1")
+LN_2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
 ROOT_HALF = math.sqrt(0.5)
-TAN_EIGHTH_TURN = (0.0, math.sqrt(2.0) - 1.0, 1.0)
-"""tan(j pi/8) for j = 0, 1, 2: the angles that `atan2` subtracts."""
-FIRST_LIMIT = float.fromhex("0x1.975f5e0553158p-3")
+TANGENTS_OF_EIGHTHS = (0.0, math.sqrt(2.0) - 1.0, 1.0)
+"""tan(j pi/8) for j = 0, 1, 2: the tangents of the angles that `atan2` subtracts."""
+TAN_PI_16 = float.fromhex("0x1.975f5e0553158p-3")
 """tan(pi/16): above this ratio, `atan2` subtracts the angle pi/8."""
-SECOND_LIMIT = float.fromhex("0x1.561b82ab7f990p-1")
+TAN_3_PI_16 = float.fromhex("0x1.561b82ab7f990p-1")
 """tan(3 pi/16): above this ratio, `atan2` subtracts the angle pi/4."""
 
 ANGLE_MAX = 1e6
-"""Limit of angles [rad] below which `sin` and `cos` need not subtract whole turns first."""
+"""Minimum angle [rad] from which `sin` and `cos` subtract whole turns first."""
 EXPONENT_MAX = 800.0
-"""Limit of |x| from which exp(x) is infinite for a positive x, and 0 for a negative x."""
+"""Minimum |x| from which exp(x) is infinite for a positive x, and 0 for a negative x."""
 
 
-def without_quarter_turns(x):
-    """Subtract whole quarter turns from an angle x [rad], so that a short series suffices.
+def reduce_angle(x):
+    """Split an angle x [rad] into k quarter turns and a small remainder r: x = k pi/2 + r.
 
     Returns:
         k: The number of quarter turns; an integer.
@@ -55,7 +57,7 @@ def without_quarter_turns(x):
             return 0, math.nan
         x = x % math.tau
     k = math.floor(x * TWO_OVER_PI + 0.5)
-    return k, ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    return k, ((x - k * HALF_PI_HIGH) - k * HALF_PI_MIDDLE) - k * HALF_PI_LOW
 
 
 def sin(x):
@@ -63,9 +65,9 @@ def sin(x):
 
     The result is NaN if x is not finite.
     """
-    k, r = without_quarter_turns(x)
-    value = cos_near_0(r) if k & 1 else sin_near_0(r)
-    return -value if k & 2 else value
+    quarter_turns, remainder = reduce_angle(x)
+    value = cos_near_0(remainder) if quarter_turns & 1 else sin_near_0(remainder)
+    return -value if quarter_turns & 2 else value
 
 
 def cos(x):
@@ -73,14 +75,14 @@ def cos(x):
 
     The result is NaN if x is not finite.
     """
-    k, r = without_quarter_turns(x)
-    value = sin_near_0(r) if k & 1 else cos_near_0(r)
-    return -value if (k + 1) & 2 else value
+    quarter_turns, remainder = reduce_angle(x)
+    value = sin_near_0(remainder) if quarter_turns & 1 else cos_near_0(remainder)
+    return -value if (quarter_turns + 1) & 2 else value
 
 
-def sin_near_0(r):
-    """Compute sin r for |r| <= pi/4, by a polynomial."""
-    square = r * r
+def sin_near_0(x):
+    """Compute sin x for |x| <= pi/4, by a polynomial."""
+    square = x * x
     series = 1 / 1307674368000
     series = 1 / 6227020800 - square * series
     series = 1 / 39916800 - square * series
@@ -88,12 +90,12 @@ def sin_near_0(r):
     series = 1 / 5040 - square * series
     series = 1 / 120 - square * series
     series = 1 / 6 - square * series
-    return r - r * square * series
+    return x - x * square * series
 
 
-def cos_near_0(r):
-    """Compute cos r for |r| <= pi/4, by a polynomial."""
-    square = r * r
+def cos_near_0(x):
+    """Compute cos x for |x| <= pi/4, by a polynomial."""
+    square = x * x
     series = 1 / 20922789888000
     series = 1 / 87178291200 - square * series
     series = 1 / 479001600 - square * series
@@ -104,42 +106,44 @@ def cos_near_0(r):
     return 1.0 - square * (0.5 - square * series)
 
 
-def without_powers_of_2(x):
-    """Write e^x as 2^k e^r with a small r, for |x| < EXPONENT_MAX.
+def reduce_exponent(x):
+    """Split an exponent x into k powers of two and a small remainder r: e^x = 2^k e^r.
+
+    This holds for |x| < EXPONENT_MAX.
 
     Returns:
         k: An integer.
-        r: The rest of the exponent, |r| <= ln(2)/2.
+        r: The remaining exponent, |r| <= ln(2)/2.
     """
     k = math.floor(x * ONE_OVER_LN_2 + 0.5)
-    return k, (x - k * LN_2_1) - k * LN_2_2
+    return k, (x - k * LN_2_HIGH) - k * LN_2_LOW
 
 
 def exp(x):
-    """Compute e^x.
+    """Compute e^x, with the same bits on every processor.
 
-    The result is infinite from x = EXPONENT_MAX on, or if it is too large for a float.
+    The result is infinite if it is too large for a float.
     """
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x)
-    k, r = without_powers_of_2(x)
-    p = expm1_near_0(r)
-    # in two steps, of which neither leaves the range of floats too early
-    return (1.0 + p) * power_of_2(k >> 1) * power_of_2(k - (k >> 1))
+    k, remainder = reduce_exponent(x)
+    expm1_remainder = expm1_near_0(remainder)
+    # in two factors, because 2^k alone may be out of the range of floats
+    return (1.0 + expm1_remainder) * power_of_2(k >> 1) * power_of_2(k - (k >> 1))
 
 
 def expm1(x):
     """Compute e^x - 1, without loss of precision for small x."""
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x) - 1.0
-    k, r = without_powers_of_2(x)
-    p = expm1_near_0(r)
+    k, remainder = reduce_exponent(x)
+    expm1_remainder = expm1_near_0(remainder)
     if k == 0:
-        return p
-    if k > 1000:  # less than a last place is neglected
+        return expm1_remainder
+    if k > 1000:  # the error of leaving out -1 is less than one unit in the last place
         return exp(x)
     power = power_of_2(k) if k > -1000 else 0.0
-    return (power - 1.0) + power * p
+    return (power - 1.0) + power * expm1_remainder
 
 
 def _exp_of_large(x):
@@ -149,22 +153,22 @@ def _exp_of_large(x):
     return 0.0 if x < 0 else math.nan
 
 
-def expm1_near_0(r):
-    """Compute e^r - 1 for |r| <= ln(2)/2."""
+def expm1_near_0(x):
+    """Compute e^x - 1 for |x| <= ln(2)/2, by a polynomial."""
     series = 1 / 87178291200
-    series = 1 / 6227020800 + r * series
-    series = 1 / 479001600 + r * series
-    series = 1 / 39916800 + r * series
-    series = 1 / 3628800 + r * series
-    series = 1 / 362880 + r * series
-    series = 1 / 40320 + r * series
-    series = 1 / 5040 + r * series
-    series = 1 / 720 + r * series
-    series = 1 / 120 + r * series
-    series = 1 / 24 + r * series
-    series = 1 / 6 + r * series
-    series = 1 / 2 + r * series
-    return r + r * r * series
+    series = 1 / 6227020800 + x * series
+    series = 1 / 479001600 + x * series
+    series = 1 / 39916800 + x * series
+    series = 1 / 3628800 + x * series
+    series = 1 / 362880 + x * series
+    series = 1 / 40320 + x * series
+    series = 1 / 5040 + x * series
+    series = 1 / 720 + x * series
+    series = 1 / 120 + x * series
+    series = 1 / 24 + x * series
+    series = 1 / 6 + x * series
+    series = 1 / 2 + x * series
+    return x + x * x * series
 
 
 def power_of_2(k):
@@ -178,12 +182,12 @@ def log(x):
         if x == 0.0:
             return -math.inf
         return x if x > 0.0 else math.nan
-    m, k = math.frexp(x)
-    if m < ROOT_HALF:
-        m = 2.0 * m
-        k -= 1
-    f = (m - 1.0) / (m + 1.0)
-    return k * LN_2_1 + (2.0 * artanh_near_0(f) + k * LN_2_2)
+    mantissa, exponent = math.frexp(x)
+    if mantissa < ROOT_HALF:
+        mantissa = 2.0 * mantissa
+        exponent -= 1
+    ratio = (mantissa - 1.0) / (mantissa + 1.0)
+    return exponent * LN_2_HIGH + (2.0 * artanh_near_0(ratio) + exponent * LN_2_LOW)
 
 
 def log1p(x):
@@ -191,15 +195,15 @@ def log1p(x):
 
     The result is -infinite for x = -1, and NaN below.
     """
-    whole = 1.0 + x
-    if not 0.0 < whole < math.inf:
-        return log(whole)
-    return log(whole) + (x - (whole - 1.0)) / whole
+    one_plus_x = 1.0 + x
+    if not 0.0 < one_plus_x < math.inf:
+        return log(one_plus_x)
+    return log(one_plus_x) + (x - (one_plus_x - 1.0)) / one_plus_x
 
 
-def artanh_near_0(f):
-    """Compute artanh f for |f| < 0.172."""
-    square = f * f
+def artanh_near_0(x):
+    """Compute artanh x for |x| < 0.172, by a polynomial."""
+    square = x * x
     series = 1 / 23
     series = 1 / 21 + square * series
     series = 1 / 19 + square * series
@@ -211,14 +215,17 @@ def artanh_near_0(f):
     series = 1 / 7 + square * series
     series = 1 / 5 + square * series
     series = 1 / 3 + square * series
-    return f + f * square * series
+    return x + x * square * series
 
 
 def tanh(x):
-    """Compute the hyperbolic tangent, with the same bits on every processor."""
-    rest = expm1(-2.0 * abs(x))
-    value = rest / (2.0 + rest)
-    return value if x < 0 else -value
+    """Compute the hyperbolic tangent of x, with the same bits on every processor.
+
+    The formula is tanh |x| = -expm1(-2 |x|) / (2 + expm1(-2 |x|)).
+    """
+    expm1_of_minus_2x = expm1(-2.0 * abs(x))
+    negative_tanh = expm1_of_minus_2x / (2.0 + expm1_of_minus_2x)
+    return negative_tanh if x < 0 else -negative_tanh
 
 
 def atan(x):
@@ -231,19 +238,19 @@ def atan2(y, x):
 
     The result is 0 at the origin, and NaN if a coordinate is NaN.
     """
-    total = abs(x) + abs(y)
-    if not total > 0.0:
-        return 0.0 if total == 0.0 else math.nan
-    low = min(abs(x), abs(y))
-    high = max(abs(x), abs(y))
+    magnitude = abs(x) + abs(y)
+    if not magnitude > 0.0:
+        return 0.0 if magnitude == 0.0 else math.nan
+    smaller = min(abs(x), abs(y))
+    larger = max(abs(x), abs(y))
     j = 0
-    if low > SECOND_LIMIT * high:
+    if smaller > TAN_3_PI_16 * larger:
         j = 2
-    elif low > FIRST_LIMIT * high:
+    elif smaller > TAN_PI_16 * larger:
         j = 1
-    tan = TAN_EIGHTH_TURN[j]
-    z = (low - tan * high) / (high + tan * low)
-    angle = j * (math.pi / 8) + arctan_near_0(z)
+    tangent = TANGENTS_OF_EIGHTHS[j]
+    remaining_tangent = (smaller - tangent * larger) / (larger + tangent * smaller)
+    angle = j * (math.pi / 8) + arctan_near_0(remaining_tangent)
     if abs(y) > abs(x):
         angle = math.pi / 2 - angle
     if x < 0:
@@ -251,9 +258,9 @@ def atan2(y, x):
     return -angle if y < 0 else angle
 
 
-def arctan_near_0(z):
-    """Compute arctan z for |z| < 0.2."""
-    square = z * z
+def arctan_near_0(x):
+    """Compute arctan x for |x| < 0.2, by a polynomial."""
+    square = x * x
     series = 1 / 23
     series = 1 / 21 - square * series
     series = 1 / 19 - square * series
@@ -265,22 +272,22 @@ def arctan_near_0(z):
     series = 1 / 7 - square * series
     series = 1 / 5 - square * series
     series = 1 / 3 - square * series
-    return z - z * square * series
+    return x - x * square * series
 
 
 def hypot(x, y):
     """Compute the length of the vector (x, y), also if its square would overflow."""
-    size = max(abs(x), abs(y))
-    if not 0.0 < size < math.inf:
-        return size
-    along = x / size  # else the squares of large lengths would overflow
-    across = y / size
-    return size * math.sqrt(along * along + across * across)
+    scale = max(abs(x), abs(y))
+    if not 0.0 < scale < math.inf:
+        return scale
+    scaled_x = x / scale  # otherwise, the squares of large lengths would overflow
+    scaled_y = y / scale
+    return scale * math.sqrt(scaled_x * scaled_x + scaled_y * scaled_y)
 
 
 def log_of_sum(ln_x, ln_y):
     """Compute ln(x + y) from ln x and ln y, where -inf means 0."""
-    high = max(ln_x, ln_y)
-    if high == -math.inf:
-        return high
-    return high + log1p(exp(min(ln_x, ln_y) - high))
+    ln_larger = max(ln_x, ln_y)
+    if ln_larger == -math.inf:
+        return ln_larger
+    return ln_larger + log1p(exp(min(ln_x, ln_y) - ln_larger))

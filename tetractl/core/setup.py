@@ -48,10 +48,11 @@ class Bounds:
         """Check whether a point lies in the rectangle or on its edge."""
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
-    def inside(self, x: Floats, y: Floats) -> Floats:
+    def depth_inside(self, x: Floats, y: Floats) -> Floats:
         """Compute how far each point is inside the rectangle [length unit].
 
-        This is the distance to the nearest edge line. It is negative for points outside.
+        This is the distance to the nearest edge, extended to a line. It is negative for points
+        outside.
         """
         across = np.minimum(x - self.left, self.right - x)
         return np.minimum(across, np.minimum(y - self.bottom, self.top - y))

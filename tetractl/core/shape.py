@@ -3,7 +3,8 @@
 A shape consists of all points within the radius of a polygon. A polygon with one corner gives a
 disc, with two corners a capsule, and with four corners for example a rectangle. The polygon may be
 concave, but its edges do not cross. A shape grown by a margin has a larger radius. If the margin is
-the radius of a round robot, the edge is where the robot's centre is when it touches the obstacle.
+the radius of a round robot, the grown shape contains the centre of every robot that touches the
+obstacle.
 
 The functions of segments below are the geometry of all obstacles. Their arguments are arrays that
 broadcast, or single numbers: kernels (`tetractl.control.search.kernels.obstacles`) compile the same
@@ -20,20 +21,24 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats
 
-EDGES_AT_A_TIME = 8
-"""Number of edges that are compared with all points at once, which limits the memory used."""
+EDGES_PER_GROUP = 8
+"""Maximum number of edges that are compared with all points at once, to limit the memory used."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """An obstacle in the plane, including its edge; lengths are in the spec's unit."""
+    """The shape of an obstacle in the plane, including its edge.
+
+    Lengths are in the spec's unit.
+    """
 
     corners: Floats
-    """Corners of the polygon, anticlockwise, shape (K, 2).
+    """Corners of the polygon, anticlockwise, shape (K, 2) [length unit].
 
-    It is convex if the radius is positive.
+    The polygon must be convex if the radius is positive.
     """
     radius: float = 0.0
+    """Distance by which the polygon's outline is moved outwards [length unit]."""
 
     def grown(self, margin: float) -> "Shape":
         """Return the shape enlarged on all sides by a margin [length unit]."""
@@ -46,27 +51,32 @@ class Shape:
         upper = self.corners.max(axis=0)
         return *(lower - self.radius).tolist(), *(upper + self.radius).tolist()
 
-    def contain(self, x: Floats, y: Floats) -> Bools:
-        """Check which points are in the shape or on its edge: p(s) of the paper's (13)."""
+    def contains(self, x: Floats, y: Floats) -> Bools:
+        """Check which points are in the shape or on its edge.
+
+        This is p(s) of the paper's equation (13).
+        """
         return self.distance(x, y) <= 0
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Return the signed distance of each point to the edge, negative inside.
+        """Compute the distance of each point to the shape's edge, negative inside [length unit].
 
         A point is inside the polygon if a ray from it crosses an odd number of edges.
         """
         shape = np.broadcast(x, y).shape
         x, y = (coordinates.ravel() for coordinates in np.broadcast_arrays(x, y))
-        inside = np.zeros(x.shape, dtype=np.bool_)
-        nearest2 = np.full(x.shape, np.inf)
+        is_inside = np.zeros(x.shape, dtype=np.bool_)
+        nearest_squared = np.full(x.shape, np.inf)
         for ax, ay, bx, by in self._edges():
-            inside ^= np.logical_xor.reduce(ray_crosses(x, y, ax, ay, bx, by), axis=0)
-            nearest2 = np.minimum(nearest2, gap2(x, y, ax, ay, bx, by).min(axis=0))
-        nearest = np.sqrt(nearest2)
-        return (np.where(inside, -nearest, nearest) - self.radius).reshape(shape)
+            is_inside ^= np.logical_xor.reduce(ray_crosses(x, y, ax, ay, bx, by), axis=0)
+            nearest_squared = np.minimum(
+                nearest_squared, squared_distance_to_segment(x, y, ax, ay, bx, by).min(axis=0)
+            )
+        nearest = np.sqrt(nearest_squared)
+        return (np.where(is_inside, -nearest, nearest) - self.radius).reshape(shape)
 
-    def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Check which straight segments touch the shape.
+    def meets_segments(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
+        """Check which straight segments touch the shape or lie in it.
 
         Args:
             x0: x of the start of each segment.
@@ -79,20 +89,20 @@ class Shape:
         may_touch = np.asarray((np.maximum(x0, x1) >= left) & (np.minimum(x0, x1) <= right))
         may_touch &= (np.maximum(y0, y1) >= bottom) & (np.minimum(y0, y1) <= top)
         if may_touch.any():
-            may_touch[may_touch] = self._find_touching(
+            may_touch[may_touch] = self._meets_segments(
                 x0[may_touch], y0[may_touch], x1[may_touch], y1[may_touch]
             )
         return may_touch
 
-    def _find_touching(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Check which segments (M,) begin inside, or come nearer to an edge than the radius."""
+    def _meets_segments(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
+        """Check which segments (M,) start inside, or come as near to an edge as the radius."""
         touches = np.zeros(x0.shape, dtype=np.bool_)
-        inside = np.zeros(x0.shape, dtype=np.bool_)
+        starts_inside = np.zeros(x0.shape, dtype=np.bool_)
         for ax, ay, bx, by in self._edges():
-            distance2 = segments_gap2(x0, y0, x1, y1, ax, ay, bx, by)
-            touches |= (distance2 <= self.radius * self.radius).any(axis=0)
-            inside ^= np.logical_xor.reduce(ray_crosses(x0, y0, ax, ay, bx, by), axis=0)
-        return touches | inside
+            distance_squared = squared_distance_of_segments(x0, y0, x1, y1, ax, ay, bx, by)
+            touches |= (distance_squared <= self.radius * self.radius).any(axis=0)
+            starts_inside ^= np.logical_xor.reduce(ray_crosses(x0, y0, ax, ay, bx, by), axis=0)
+        return touches | starts_inside
 
     def outline(self) -> Floats:
         """Return a polygon for drawing the shape: corners in anticlockwise order, shape (M, 2)."""
@@ -110,13 +120,15 @@ class Shape:
         """
         starts = np.concatenate([self.corners[-1:], self.corners[:-1]])
         edges = np.hstack([starts, self.corners])
-        for start in range(0, len(edges), EDGES_AT_A_TIME):
-            ax, ay, bx, by = edges[start : start + EDGES_AT_A_TIME].T[..., None]
+        for group_start in range(0, len(edges), EDGES_PER_GROUP):
+            ax, ay, bx, by = edges[group_start : group_start + EDGES_PER_GROUP].T[..., None]
             yield ax, ay, bx, by
 
 
-def turn(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
-    """Compute twice the signed area of the triangle a, b, c. It is positive if a, b, c turn left.
+def signed_double_area(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
+    """Compute twice the area of the triangle a, b, c, with a sign.
+
+    The result is positive if the corners are anticlockwise, and negative if they are clockwise.
 
     Args:
         ax: x of corner a.
@@ -129,8 +141,8 @@ def turn(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
-def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Check whether two segments have a point in common. Their ends belong to them.
+def segments_meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
+    """Check whether two segments have a point in common. The ends belong to the segments.
 
     Args:
         x0: x of the start of the first segment.
@@ -142,21 +154,25 @@ def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any)
         bx: x of the end of the second segment.
         by: y of the end of the second segment.
     """
-    a = turn(x0, y0, x1, y1, ax, ay)
-    b = turn(x0, y0, x1, y1, bx, by)
-    c = turn(ax, ay, bx, by, x0, y0)
-    d = turn(ax, ay, bx, by, x1, y1)
+    side_of_a = signed_double_area(x0, y0, x1, y1, ax, ay)
+    side_of_b = signed_double_area(x0, y0, x1, y1, bx, by)
+    side_of_start = signed_double_area(ax, ay, bx, by, x0, y0)
+    side_of_end = signed_double_area(ax, ay, bx, by, x1, y1)
     overlaps = np.maximum(x0, x1) >= np.minimum(ax, bx)
     overlaps = overlaps & (np.maximum(ax, bx) >= np.minimum(x0, x1))
     overlaps = overlaps & (np.maximum(y0, y1) >= np.minimum(ay, by))
     overlaps = overlaps & (np.maximum(ay, by) >= np.minimum(y0, y1))
-    # not both ends on the same side of the other segment
-    across_one = ((a <= 0) | (b <= 0)) & ((a >= 0) | (b >= 0))
-    across_other = ((c <= 0) | (d <= 0)) & ((c >= 0) | (d >= 0))
-    return overlaps & across_one & across_other
+    # a segment crosses another one's line unless both its ends are on the same side of that line
+    second_crosses_first = ((side_of_a <= 0) | (side_of_b <= 0)) & (
+        (side_of_a >= 0) | (side_of_b >= 0)
+    )
+    first_crosses_second = ((side_of_start <= 0) | (side_of_end <= 0)) & (
+        (side_of_start >= 0) | (side_of_end >= 0)
+    )
+    return overlaps & second_crosses_first & first_crosses_second
 
 
-def offset(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> tuple[Any, Any]:
+def offset_from_segment(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> tuple[Any, Any]:
     """Compute the vector from the nearest point of a segment to a point, as x and y.
 
     Args:
@@ -167,17 +183,19 @@ def offset(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> tuple[Any, Any
         bx: x of the segment's end.
         by: y of the segment's end.
     """
-    ex = bx - ax
-    ey = by - ay
-    px = x - ax
-    py = y - ay
-    length2 = ex * ex + ey * ey
-    along = (px * ex + py * ey) / (length2 + (length2 == 0))
-    along = np.maximum(0.0, np.minimum(along, 1.0))
-    return px - along * ex, py - along * ey
+    edge_x = bx - ax
+    edge_y = by - ay
+    from_start_x = x - ax
+    from_start_y = y - ay
+    length_squared = edge_x * edge_x + edge_y * edge_y
+    fraction = (from_start_x * edge_x + from_start_y * edge_y) / (
+        length_squared + (length_squared == 0)
+    )
+    fraction = np.maximum(0.0, np.minimum(fraction, 1.0))
+    return from_start_x - fraction * edge_x, from_start_y - fraction * edge_y
 
 
-def gap2(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
+def squared_distance_to_segment(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
     """Compute the squared distance between a point and a segment.
 
     Args:
@@ -188,12 +206,14 @@ def gap2(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
         bx: x of the segment's end.
         by: y of the segment's end.
     """
-    off_x, off_y = offset(x, y, ax, ay, bx, by)
-    return off_x * off_x + off_y * off_y
+    offset_x, offset_y = offset_from_segment(x, y, ax, ay, bx, by)
+    return offset_x * offset_x + offset_y * offset_y
 
 
-def segments_gap2(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Compute the squared distance between two segments. It is 0 if they meet.
+def squared_distance_of_segments(
+    x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any
+) -> Any:
+    """Compute the squared distance between two segments. The result is 0 if they meet.
 
     Args:
         x0: x of the start of the first segment.
@@ -205,10 +225,16 @@ def segments_gap2(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any,
         bx: x of the end of the second segment.
         by: y of the end of the second segment.
     """
-    ends2 = np.minimum(gap2(x0, y0, ax, ay, bx, by), gap2(x1, y1, ax, ay, bx, by))
-    corners2 = np.minimum(gap2(ax, ay, x0, y0, x1, y1), gap2(bx, by, x0, y0, x1, y1))
-    are_apart = np.logical_not(meet(x0, y0, x1, y1, ax, ay, bx, by))
-    return np.minimum(ends2, corners2) * are_apart
+    first_ends_squared = np.minimum(
+        squared_distance_to_segment(x0, y0, ax, ay, bx, by),
+        squared_distance_to_segment(x1, y1, ax, ay, bx, by),
+    )
+    second_ends_squared = np.minimum(
+        squared_distance_to_segment(ax, ay, x0, y0, x1, y1),
+        squared_distance_to_segment(bx, by, x0, y0, x1, y1),
+    )
+    are_apart = np.logical_not(segments_meet(x0, y0, x1, y1, ax, ay, bx, by))
+    return np.minimum(first_ends_squared, second_ends_squared) * are_apart
 
 
 def ray_crosses(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
@@ -224,4 +250,4 @@ def ray_crosses(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
         bx: x of the edge's end.
         by: y of the edge's end.
     """
-    return ((ay > y) != (by > y)) & ((turn(ax, ay, bx, by, x, y) > 0) == (by > ay))
+    return ((ay > y) != (by > y)) & ((signed_double_area(ax, ay, bx, by, x, y) > 0) == (by > ay))

@@ -1,12 +1,13 @@
-"""Objects that a notebook displays, through the method that every notebook front end calls."""
+"""The base class of results that a notebook displays as tables and figures."""
 
 from pkgutil import resolve_name
 
 
-class Shown:
-    """A result that a notebook shows as tables and pictures, made by `tetractl.view.notebook`.
+class NotebookDisplay:
+    """Base class of results that a notebook displays as tables and figures.
 
-    The module is named by a string, so that `core` imports no package above it.
+    Every notebook calls `_repr_html_`. `tetractl.view.notebook` makes the HTML. That module is
+    named by a string, so that `core` imports no package above it.
     """
 
     __slots__ = ()

@@ -37,7 +37,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
         walls: Whether everything outside the arena counts as an obstacle.
     """
     nearest = Obstacles.from_shapes(setup.obstacles).distance(x, y)
-    return np.minimum(nearest, setup.arena.inside(x, y)) if walls else nearest
+    return np.minimum(nearest, setup.arena.depth_inside(x, y)) if walls else nearest
 
 
 @np.errstate(all="ignore")

@@ -73,7 +73,7 @@ class PathCheck:
             x = np.hstack([last_x, x])
             y = np.hstack([last_y, y])
         self._last = (x[:, -1:], y[:, -1:])
-        edge_distances = self.arena.inside(x, y)
+        edge_distances = self.arena.depth_inside(x, y)
         self.edge = np.fmin(self.edge, np.fmin.reduce(edge_distances, axis=1))
         if self.obstacles.count:
             self._update_obstacle_distances(x, y)
@@ -89,7 +89,7 @@ class PathCheck:
         np.fmin.at(self.clearance, robot, gaps)
         self.entered[robot[gaps <= 0]] = True
         robot, sample = may_be_nearest[:, :-1].nonzero()
-        crosses = self.obstacles.cross(
+        crosses = self.obstacles.meets_segments(
             x[robot, sample], y[robot, sample], x[robot, sample + 1], y[robot, sample + 1]
         )
         self.entered[robot[crosses]] = True
@@ -104,7 +104,7 @@ class PathCheck:
         because the sample then is not the nearest one; and the longest step, because the path from
         the sample to the next one then touches no obstacle. Samples with NaN are left out.
         """
-        at_least = self.obstacles.at_least(x, y)
+        at_least = self.obstacles.distance_lower_bound(x, y)
         robots = np.arange(len(x))
         nearest = np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
         distance = self.obstacles.distance(x[robots, nearest], y[robots, nearest])

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tetractl.core.poses import Floats
-from tetractl.core.shape import Shape, meet, turn
+from tetractl.core.shape import Shape, segments_meet, signed_double_area
 from tetractl.spec.base import Finite, Point, Positive, inconsistent
 from tetractl.spec.experiment import ShapeSection
 
@@ -75,7 +75,7 @@ class Polygon(ShapeSection):
         for i, (ax, ay, bx, by) in enumerate(edges):
             cx, cy = self.vertices[(i + 1) % count]
             back = (bx - ax) * (cx - bx) + (by - ay) * (cy - by) < 0
-            if back and turn(ax, ay, bx, by, cx, cy) == 0:
+            if back and signed_double_area(ax, ay, bx, by, cx, cy) == 0:
                 message = (
                     f"turns back on itself at {_text(self.vertices[i])}; the shape "
                     "must have an area"
@@ -84,7 +84,7 @@ class Polygon(ShapeSection):
             # the edges after the next one; of those the last one is the first one's neighbour
             end = count - 1 if i == 0 else count
             with np.errstate(all="ignore"):
-                met = np.flatnonzero(meet(ax, ay, bx, by, *columns[:, i + 2 : end]))
+                met = np.flatnonzero(segments_meet(ax, ay, bx, by, *columns[:, i + 2 : end]))
             if met.size:
                 message = (
                     "crosses or touches itself: the edge that ends in "

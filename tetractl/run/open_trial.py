@@ -94,8 +94,8 @@ class TruthWatch(Observer):
         y = np.array([pose.y for pose in poses])
         x_before = np.array([pose.x for pose in before])
         y_before = np.array([pose.y for pose in before])
-        outside = self._arena.inside(x, y) < 0
-        entered = self._obstacles.cross(x_before, y_before, x, y)
+        outside = self._arena.depth_inside(x, y) < 0
+        entered = self._obstacles.meets_segments(x_before, y_before, x, y)
         self.failed = self.failed or bool(outside.any() or entered.any())
 
 

@@ -90,7 +90,7 @@ def find_misplaced(experiment: Experiment) -> Findings:
     points = np.array([point for _, point in places], dtype=float).reshape(-1, 2)
     with np.errstate(over="ignore", invalid="ignore"):
         shapes = [obstacle.shape() for obstacle in experiment.obstacles]
-        inside = [shape.contain(points[:, 0], points[:, 1]) for shape in shapes]
+        inside = [shape.contains(points[:, 0], points[:, 1]) for shape in shapes]
     for row, (loc, point) in enumerate(places):
         if not arena.bounds.contains(*point):
             yield SpecFinding(
@@ -138,7 +138,7 @@ def _touches_arena(arena: Arena, obstacle: ShapeSection) -> bool:
     next_y = np.roll(y, -1)
     shape = obstacle.shape()
     with np.errstate(over="ignore", invalid="ignore"):
-        if shape.cross(x, y, next_x, next_y).any():
+        if shape.meets_segments(x, y, next_x, next_y).any():
             return True
     corners = shape.outline().tolist()
     return any(bounds.contains(*corner) for corner in corners)
@@ -212,7 +212,7 @@ def find_unreachable(experiment: Experiment) -> Findings:
         return
     setup = experiment.setup
     x, y = setup.targets.T
-    to_edge = setup.arena.inside(x, y)
+    to_edge = setup.arena.depth_inside(x, y)
     to_obstacle = np.full(len(x), np.inf)
     for shape in setup.obstacles:
         to_obstacle = np.minimum(to_obstacle, shape.distance(x, y))

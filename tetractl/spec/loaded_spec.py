@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tetractl.core.errors import SpecError, printable
-from tetractl.core.shown import Shown
+from tetractl.core.shown import NotebookDisplay
 from tetractl.core.trial import OWN_FILES, PlantInfo, Start
 from tetractl.spec.controller import ControllerSection
 from tetractl.spec.experiment import Experiment, Trials, packages
@@ -22,7 +22,7 @@ Attached = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
-class LoadedSpec(Shown):
+class LoadedSpec(NotebookDisplay):
     """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
     `resolved`, the YAML with every field, and `hash` are computed once for all trials.

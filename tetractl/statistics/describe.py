@@ -15,7 +15,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.shown import Shown
+from tetractl.core.shown import NotebookDisplay
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
 from tetractl.statistics import mean_difference
@@ -40,7 +40,7 @@ _NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
 
 
 @dataclass(frozen=True, slots=True)
-class BatchStatistics(Shown):
+class BatchStatistics(NotebookDisplay):
     """The statistics of a batch of trials of N robots.
 
     Lengths are in `unit`. A trial is valid, and counts in the means, if the controller decided its
@@ -142,7 +142,7 @@ def _from_published(
 
 
 @dataclass(frozen=True, slots=True)
-class Contrast(Shown):
+class Contrast(NotebookDisplay):
     """The comparison of the total errors of two batches. Differences are `first` minus `second`.
 
     Batches with different plants (`same_origin` is False) are not tested, and their p-values are
@@ -263,7 +263,7 @@ class Contrast(Shown):
 
 
 @dataclass(frozen=True, slots=True)
-class BatchComparison(Shown):
+class BatchComparison(NotebookDisplay):
     """Batches, and the contrasts of every two batches or of each batch with a baseline.
 
     A single batch has no contrasts.

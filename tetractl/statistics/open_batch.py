@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.core.shown import Shown
+from tetractl.core.shown import NotebookDisplay
 from tetractl.log.read.find import find_logs, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
@@ -34,7 +34,7 @@ class Damaged:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch(Shown):
+class Batch(NotebookDisplay):
     """Trials that form one batch.
 
     `attempts` are earlier logs of the same trials. Either `--resume` has set them aside, or they
@@ -103,7 +103,7 @@ class Batch(Shown):
         return not self.lost and not any(trial.recovered for trial in self.trials)
 
 
-class Batches(Shown, dict[str, Batch]):
+class Batches(NotebookDisplay, dict[str, Batch]):
     """Several batches by name, such as the arms of a study."""
 
 

@@ -19,7 +19,7 @@ from tetractl.control.methods.build import warm_up
 from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
-from tetractl.core.shown import Shown
+from tetractl.core.shown import NotebookDisplay
 from tetractl.log import provenance
 from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import trial_of
@@ -60,7 +60,7 @@ class EndCheck(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Verification(Shown):
+class Verification(NotebookDisplay):
     """The result of verifying one log: whether its decisions follow from its data.
 
     Attributes:

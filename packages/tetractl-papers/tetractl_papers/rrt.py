@@ -123,8 +123,10 @@ class Rrt(PlainController):
         region = problem.obstacles
         while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - position)) <= self._reach:
             self._path = self._path[1:]
-        blocked = bool(region.cross(position[0], position[1], self._path[0, 0], self._path[0, 1]))
-        if blocked and not region.contain(position[0], position[1]):
+        blocked = bool(
+            region.meets_segments(position[0], position[1], self._path[0, 0], self._path[0, 1])
+        )
+        if blocked and not region.contains(position[0], position[1]):
             target = problem.targets[0]
             draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
             path = grow_tree(region, self._arena, position, target, self._edge, draws)
@@ -194,13 +196,13 @@ def grow_tree(
         root = nodes[nearest]
         length = float(distances[nearest])
         node = point if length <= edge else root + vectors[nearest] * (edge / length)
-        if length == 0 or region.cross(root[0], root[1], node[0], node[1]):
+        if length == 0 or region.meets_segments(root[0], root[1], node[0], node[1]):
             continue
         nodes[node_count] = node
         parents[node_count] = nearest
         node_count += 1
         distance = float(elementwise.hypot(*(target - node)))
-        if distance <= edge and not region.cross(node[0], node[1], target[0], target[1]):
+        if distance <= edge and not region.meets_segments(node[0], node[1], target[0], target[1]):
             path = [target]
             i = node_count - 1
             while i > 0:

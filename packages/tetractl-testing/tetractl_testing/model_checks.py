@@ -12,7 +12,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.setup import Setup
-from tetractl.core.shape import meet, turn
+from tetractl.core.shape import segments_meet, signed_double_area
 from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
 from tetractl.spec.experiment import ShapeSection
@@ -240,7 +240,7 @@ def check_shape(section: ShapeSection, setup: Setup) -> None:
     )
     ends = np.roll(corners, -1, axis=0)
     onward = np.roll(ends, -1, axis=0)
-    anticlockwise = turn(*corners.T, *ends.T, *onward.T) >= 0
+    anticlockwise = signed_double_area(*corners.T, *ends.T, *onward.T) >= 0
     convex = anticlockwise | (shape.radius == 0)
     expect_true("corners: are convex if there is a radius", convex, "turns right")
     outline = shape.outline()
@@ -262,4 +262,6 @@ def _find_crossing_edges(corners: Floats) -> Bools:
     ends = np.roll(corners, -1, axis=0)
     i, j = np.triu_indices(count, 2)
     has_no_common_corner = (j - i) % count < count - 1
-    return meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & has_no_common_corner
+    return (
+        segments_meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & has_no_common_corner
+    )

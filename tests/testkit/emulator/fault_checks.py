@@ -106,7 +106,7 @@ def check_space(expect, played):
         if expect.inside:
             assert all(arena.contains(spot.real, spot.imag) for spot in spots)
         if expect.clear:
-            assert not obstacles.contain(*np.array(truth["poses"]).T[:2]).any()
+            assert not obstacles.contains(*np.array(truth["poses"]).T[:2]).any()
         if expect.apart_mm is not None:
             gaps = [abs(a - b) for i, a in enumerate(spots) for b in spots[:i]]
             assert min(gaps) >= expect.apart_mm

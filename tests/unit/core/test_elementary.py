@@ -68,7 +68,7 @@ def test_limits_and_what_is_no_number():
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 5e-324, -1e-300, 1e300, -1e308, 1e6, -1e7, 299.0, 301.0, 710.0]
 SPECIAL += [-745.0, -0.9999999, 801.0, -801.0, math.inf, -math.inf, math.nan]
 """Numbers at the ends of ranges, and beyond."""
-SIZES = [elementwise.LARGE - 1, elementwise.LARGE, 2000]
+SIZES = [elementwise.ARRAY_SIZE_MIN - 1, elementwise.ARRAY_SIZE_MIN, 2000]
 """Small arrays are computed one by one, large ones by operations of arrays."""
 
 

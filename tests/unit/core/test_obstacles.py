@@ -37,7 +37,7 @@ def test_distance_and_containment_follow_from_geometry(things, x, y):
     nearest = min(gap(thing, x, y) for thing in things)
     assert world.distance(*at(x, y))[0] == pytest.approx(nearest, abs=1e-12)
     assume(abs(nearest) > 1e-9)
-    assert world.contain(*at(x, y))[0] == (nearest < 0)
+    assert world.contains(*at(x, y))[0] == (nearest < 0)
 
 
 def test_a_margin_grows_every_side_and_radius():
@@ -53,7 +53,7 @@ def test_a_margin_grows_every_side_and_radius():
 def test_what_is_not_well_inside_the_arena_is_in_a_wall(x, y, margin):
     walls = Obstacles.from_shapes([], float(margin), FIELD)
     inside = min(x - FIELD.left, FIELD.right - x, y - FIELD.bottom, FIELD.top - y) > margin
-    assert walls.contain(*at(x, y))[0] == (not inside)
+    assert walls.contains(*at(x, y))[0] == (not inside)
 
 
 def test_a_path_check_sees_what_happens_between_samples_and_between_calls():

@@ -15,14 +15,14 @@ def test_a_rectangle_contains_its_inside_and_its_whole_edge(x):
     for y in np.arange(0, 5.5, 0.5).tolist():
         is_inside = -2 <= x <= 5 and 1 <= y <= 4
         assert BOUNDS.contains(x, y) == is_inside
-        assert (BOUNDS.inside(np.array([x]), np.array([y]))[0] >= 0) == is_inside
+        assert (BOUNDS.depth_inside(np.array([x]), np.array([y]))[0] >= 0) == is_inside
 
 
 @pytest.mark.parametrize(("x", "on_x"), [(-2, True), (1.5, False), (5, True)])
 @pytest.mark.parametrize(("y", "on_y"), [(1, True), (2.5, False), (4, True)])
 def test_the_edge_is_where_the_distance_is_0(x, on_x, y, on_y):
     assert BOUNDS.contains(x, y)
-    distance = BOUNDS.inside(np.array([float(x)]), np.array([float(y)]))[0]
+    distance = BOUNDS.depth_inside(np.array([float(x)]), np.array([float(y)]))[0]
     assert (distance == 0) == (on_x or on_y)
 
 

@@ -77,7 +77,11 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
         things.append({"type": "circle", "center": [x, y], "radius": size / 2})
 
     def is_off_the_path(shape):
-        return not Obstacles.from_shapes([shape], margin).cross(*path[:-1].T, *path[1:].T).any()
+        return (
+            not Obstacles.from_shapes([shape], margin)
+            .meets_segments(*path[:-1].T, *path[1:].T)
+            .any()
+        )
 
     obstacles = list(filter(is_off_the_path, shapes(things)))
     assert len(obstacles) > 20

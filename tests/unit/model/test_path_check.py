@@ -49,7 +49,9 @@ def assert_is_checked_slowly(check, x, y):
     for i in range(x.shape[1]):
         xs, ys = x[:, i], y[:, i]
         clear = OBSTACLES.distance(xs, ys)
-        touches = (clear <= 0) | np.append(OBSTACLES.cross(xs[:-1], ys[:-1], xs[1:], ys[1:]), False)
+        touches = (clear <= 0) | np.append(
+            OBSTACLES.meets_segments(xs[:-1], ys[:-1], xs[1:], ys[1:]), False
+        )
         assert check.entered[i] == touches.any()
         assert check.clearance[i] == pytest.approx(np.nanmin(clear), abs=1e-9)
         sides = [xs - ARENA.left, ARENA.right - xs, ys - ARENA.bottom, ARENA.top - ys]

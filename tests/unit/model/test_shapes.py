@@ -13,7 +13,7 @@ from testkit.shapes import GRID, L_SHAPE, SHAPES
 
 from tetractl.control.search.kernels import obstacles as kernel
 from tetractl.core.registries import SHAPES as REGISTRY
-from tetractl.core.shape import Shape, segments_gap2
+from tetractl.core.shape import Shape, squared_distance_of_segments
 from tetractl.model.shapes import Polygon
 
 pytestmark = pytest.mark.slow
@@ -35,12 +35,12 @@ def polygon(*vertices):
 
 def contains(shape, x, y):
     """Whether the shape contains a single point."""
-    return bool(shape.contain(*at(x, y))[0])
+    return bool(shape.contains(*at(x, y))[0])
 
 
 def crosses(shape, x0, y0, x1, y1):
     """Whether a single segment touches the shape."""
-    return bool(shape.cross(*at(x0, y0, x1, y1))[0])
+    return bool(shape.meets_segments(*at(x0, y0, x1, y1))[0])
 
 
 def distance(shape, x, y):
@@ -98,7 +98,7 @@ def test_two_segments_are_as_far_apart_as_their_nearest_points(x0, y0, x1, y1, a
         to_segment(x0 + t * (x1 - x0), y0 + t * (y1 - y0), ax, ay, bx, by)
         for t in np.linspace(0, 1, points + 1)
     ]
-    apart = math.sqrt(segments_gap2(x0, y0, x1, y1, ax, ay, bx, by))
+    apart = math.sqrt(squared_distance_of_segments(x0, y0, x1, y1, ax, ay, bx, by))
     step = math.dist((x0, y0), (x1, y1)) / points
     assert min(of_points) - step - 1e-6 <= apart <= min(of_points) + 1e-6
 
@@ -167,7 +167,7 @@ def test_the_outline_draws_the_shape(section):
     drawn = polygon(*outline.tolist()).shape()
     spots = np.random.default_rng(1).uniform(-12, 12, (2, 300))
     clear = np.abs(shape.distance(*spots)) > 0.02  # an outline of a disc cuts its edge by as much
-    assert np.array_equal(drawn.contain(*spots)[clear], shape.contain(*spots)[clear])
+    assert np.array_equal(drawn.contains(*spots)[clear], shape.contains(*spots)[clear])
 
 
 @pytest.mark.parametrize(

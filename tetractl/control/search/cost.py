@@ -154,9 +154,9 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
         miss = problem.within * np.where(beyond > 0, 1 + STRAY * beyond, 0.0).mean(axis=0)
     target = miss.sum(axis=-1)  # (8)
     if problem.swept:
-        hits = problem.obstacles.cross(x[:-1], y[:-1], x[1:], y[1:])
+        hits = problem.obstacles.meets_segments(x[:-1], y[:-1], x[1:], y[1:])
     else:
-        hits = problem.obstacles.contain(x[1:], y[1:])
+        hits = problem.obstacles.contains(x[1:], y[1:])
     obstacle = hits.sum(axis=(0, 2)).astype(np.float64)  # (9)
     if problem.separation > 0:
         i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots

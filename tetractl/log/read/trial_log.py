@@ -12,7 +12,7 @@ from tetractl.core.commands import Command
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
-from tetractl.core.shown import Shown
+from tetractl.core.shown import NotebookDisplay
 from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
 from tetractl.log.format.derived_messages import outcome_from_log
 from tetractl.spec.experiment import Experiment
@@ -86,7 +86,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrialLog(TrialRecords, Shown):
+class TrialLog(TrialRecords, NotebookDisplay):
     """A whole trial, read from its log.
 
     Attributes:
@@ -201,7 +201,7 @@ def _next_step(text: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultSummary(Shown):
+class ResultSummary(NotebookDisplay):
     """The result of a trial, read from its log without the frames and steps.
 
     Attributes:

@@ -222,7 +222,7 @@ def _filling(shape: Shape, view: Projection) -> Floats:
     x = _ticks(max(left, arena.left), min(right, arena.right), view.scale)
     y = _ticks(max(bottom, arena.bottom), min(top, arena.top), view.scale)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside = shape.contain(grid[:, 0], grid[:, 1])
+    inside = shape.contains(grid[:, 0], grid[:, 1])
     return np.vstack([grid[inside], outline])
 
 

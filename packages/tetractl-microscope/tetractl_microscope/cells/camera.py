@@ -406,7 +406,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
         """Find the positions in the image (R,) [um] that are within WALL_UM of a wall."""
-        to_edge = self._arena.inside(*self._placed(view, x, y))
+        to_edge = self._arena.depth_inside(*self._placed(view, x, y))
         return to_edge < WALL_UM * 1e-6 / self._metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:

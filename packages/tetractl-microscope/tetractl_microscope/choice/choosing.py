@@ -116,7 +116,7 @@ def rate_choice(
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
     # cells that could swim to the arena's edge within half a second are chosen last
-    stays_inside = bool((arena.inside(x, y) > 0.5 * speed).all())
+    stays_inside = bool((arena.depth_inside(x, y) > 0.5 * speed).all())
     free = stays_inside and all(cell.free for cell in cells)
     a = np.array([cell.a for cell in cells])
     apart = unlikeness(a, np.array([cell.a_sd for cell in cells]))

@@ -71,7 +71,7 @@ def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Itera
     observation = Observation(0, 0, 0, setup.starts, all_seen)
     problem = section.problem(setup)
     # robots that start within a margin are steered out of it; no plan avoids that cost
-    within = bool(problem.obstacles.contain(setup.starts.x, setup.starts.y).any())
+    within = bool(problem.obstacles.contains(setup.starts.x, setup.starts.y).any())
     for trial in range(count):
         key, _ = trial_seeds(seed, trial)
         plan = section.build(setup, key, UNHURRIED).plan(observation)

@@ -36,7 +36,7 @@ def test_a_path_ends_at_the_target_and_touches_nothing(key):
     region, corners = path(key)
     assert corners[-1].tolist() == TARGET.tolist()
     ends = np.vstack([START, corners])
-    assert not region.cross(*ends[:-1].T, *ends[1:].T).any()
+    assert not region.meets_segments(*ends[:-1].T, *ends[1:].T).any()
     assert np.hypot(*np.diff(ends, axis=0).T).max() <= 120 * (1 + 1e-9)
 
 

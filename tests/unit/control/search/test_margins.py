@@ -43,8 +43,8 @@ def test_the_margin_is_kept_where_there_is_room(shape):
 def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
     margins = margins_of([BOX, ROUND])
     near, unreduced = margins.grown(at((1000 - away, 1050), (600, 600)), 40).shapes
-    assert not near.contain(np.array(1000 - away), np.array(1050.0))
-    assert near.contain(np.array(1000 - 0.9 * away), np.array(1050.0))
+    assert not near.contains(np.array(1000 - away), np.array(1050.0))
+    assert near.contains(np.array(1000 - 0.9 * away), np.array(1050.0))
     assert unreduced.radius == 90
 
 

@@ -255,7 +255,7 @@ def test_a_lost_result_says_who_was_in_an_obstacle(undamaged, without_result):
 
     def in_an_obstacle(poses):
         x, y, _ = poses.T
-        return any(shape.contain(x, y).any() for shape in shapes)
+        return any(shape.contains(x, y).any() for shape in shapes)
 
     truth = read_trial(without_result).truth
     inside = tuple(in_an_obstacle(truth[:, i]) for i in range(3))

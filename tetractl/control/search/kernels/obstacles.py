@@ -15,8 +15,8 @@ from tetractl.core.poses import Floats, Integers
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, exact
 
-offset = exact(shape.offset)
-segments_gap2 = exact(shape.segments_gap2)
+offset_from_segment = exact(shape.offset_from_segment)
+squared_distance_of_segments = exact(shape.squared_distance_of_segments)
 ray_crosses = exact(shape.ray_crosses)
 
 HALF_MORE = 0.5000001
@@ -46,8 +46,8 @@ def arrays_of(obstacles: Obstacles) -> ObstacleArrays:
         corners=obstacles.corners,
         corner_counts=obstacles.corner_counts,
         radii=obstacles.radii,
-        low=obstacles.low,
-        high=obstacles.high,
+        low=obstacles.corners_min,
+        high=obstacles.corners_max,
         walls=obstacles.walls,
     )
 
@@ -83,7 +83,7 @@ def touches(corners, count, radius, x0, y0, x1, y1):
     for k in range(count):
         bx = corners[k, 0]
         by = corners[k, 1]
-        if segments_gap2(x0, y0, x1, y1, ax, ay, bx, by) <= reach:
+        if squared_distance_of_segments(x0, y0, x1, y1, ax, ay, bx, by) <= reach:
             return True
         inside = inside != ray_crosses(x0, y0, ax, ay, bx, by)
         ax = bx
@@ -118,7 +118,7 @@ def nearest(corners, count, radius, x, y):
         bx = corners[k, 0]
         by = corners[k, 1]
         inside = inside != ray_crosses(x, y, ax, ay, bx, by)
-        off_x, off_y = offset(x, y, ax, ay, bx, by)
+        off_x, off_y = offset_from_segment(x, y, ax, ay, bx, by)
         if off_x * off_x + off_y * off_y < least2:
             least2 = off_x * off_x + off_y * off_y
             out_x = off_x

@@ -72,7 +72,7 @@ def test_a_robot_is_hit_where_the_readable_region_says_so(region, moves, swept):
     x, y = np.full((2, 2, len(moves)), 1e6)
     x[1], y[1] = after
     count_hits(flatten(problem_in(region, swept)), x, y, 1, room)
-    expected = region.cross(*before, *after) if swept else region.contain(*after)
+    expected = region.meets_segments(*before, *after) if swept else region.contains(*after)
     assert (room.hits[1] - 3 > 0).tolist() == np.broadcast_to(expected, len(moves)).tolist()
     assert set(room.hits[1]) <= {3.0, 4.0}  # a step counts once, however many obstacles it hits
     assert (room.hits[0] == 7).all()

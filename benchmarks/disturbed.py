@@ -1,10 +1,10 @@
 """Measures the closed loop under disturbances: tables of docs/reference/measured.md.
 
-    python benchmarks/disturbed.py --part ablation --seed 20261201  gain from each part
-    python benchmarks/disturbed.py --part knowledge --trials 40 --seed 60101    wrong assumptions
-    python benchmarks/disturbed.py --part given --seed 20261130             after calibration
-    python benchmarks/disturbed.py --part hurting --seed 60201              harmful disturbances
-    python benchmarks/disturbed.py --part accept --trials 40 --seed 60101   time against error
+    python benchmarks/disturbed.py --part ablation --seed 20261201              gain from each part
+    python benchmarks/disturbed.py --part given --seed 20261201                 after calibration
+    python benchmarks/disturbed.py --part knowledge --trials 40 --seed 20261201 wrong assumptions
+    python benchmarks/disturbed.py --part hurting --seed 20261201               disturbances
+    python benchmarks/disturbed.py --part accept --trials 40 --seed 20261201    time against error
     python benchmarks/disturbed.py --part radio --trials 40 --seed 512306103    commands a second
 
 All rows of a part have the same seeds, so their trials form pairs. The second table has the

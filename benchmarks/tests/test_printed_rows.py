@@ -70,10 +70,10 @@ def run(*words: str) -> str:
 
 ROWS = [
     ("ablation", "whole", "20261201"),
-    ("given", "given", "20261130"),
-    ("knowledge", "dead time given", "60101"),
-    ("hurting", "none of these", "60201"),
-    ("accept", "accept 30 mm", "60101"),
+    ("given", "given", "20261201"),
+    ("knowledge", "dead time given", "20261201"),
+    ("hurting", "none of these", "20261201"),
+    ("accept", "accept 30 mm", "20261201"),
     ("radio", "60 commands per second", "512306103"),
 ]
 

@@ -77,14 +77,20 @@ def answer(
     wished = _wish(heading, u, since_ns, acts_ns, robots, sent)
     if robots.lag_s > 0:
         _note(sent, acts_ns, wished, robots.radius)
+    true_speeds = np.empty(wished.shape)
     if trains.limit[0] == 0:  # speeds are not rounded to counts
-        return wished, trains.true_gain * wished
+        for side in range(2):
+            for i in range(heading.size):
+                true_speeds[side, i] = trains.true_gain[side, i] * wished[side, i]
+        return wished, true_speeds
     steps = _count(wished, trains.owed, trains.gain, trains.dead_zone, trains.limit)
-    true_steps = np.zeros(steps.shape)
     for side in range(2):
         for i in range(heading.size):
             step = steps[side, i]  # counts beyond the dead zone
+            true_step = 0.0
             if step != 0:
                 counts = abs(step) + trains.dead_zone[side, i] - trains.true_dead_zone[side, i]
-                true_steps[side, i] = math.copysign(max(counts, 0), step)
-    return trains.gain * steps, trains.true_gain * true_steps
+                true_step = math.copysign(max(counts, 0), step)
+            wished[side, i] = trains.gain[side, i] * step
+            true_speeds[side, i] = trains.true_gain[side, i] * true_step
+    return wished, true_speeds

@@ -132,7 +132,7 @@ def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
 _with_margins = Mpc._with_margins
 _reopen = FilterBank._reopen
 _common = filter_state.CommonTimes.of
-_off_course = margins.off_course
+_off_course = margins.max_deviation
 
 
 def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
@@ -140,11 +140,11 @@ def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
 
 
 def _off_course_by_uncertainty(
-    speed: Floats, heard_s: float, dead_time_s: float, estimate: Estimate | None
+    speed: Floats, held_s: float, dead_time_s: float, estimate: Estimate | None
 ) -> float:
     """Compute how far robots leave their courses, without wheels that roll on wrongly."""
     uncertain = None if estimate is None else replace(estimate, lag=None)
-    return _off_course(speed, heard_s, dead_time_s, uncertain)
+    return _off_course(speed, held_s, dead_time_s, uncertain)
 
 
 def _bee_lines(problem: Any, grid: Any) -> Any:
@@ -212,11 +212,11 @@ RULES = {
     "time has a price": Rule(((CandidateValues, "price", 0.0),), ("wander", *TIME)),
     "to touch a margin costs": Rule((_value(touches=False),), WALLS),
     # margins
-    "margins for uncertain motion": Rule(((margins, "SIGMAS", 0.0),), WALLS),
+    "margins for uncertain motion": Rule(((margins, "N_SIGMAS", 0.0),), WALLS),
     "margins for a lost command": Rule(
         (
-            (near_targets, "LOST_SHARE", 0.0),
-            (margins, "off_course", _off_course_by_uncertainty),
+            (near_targets, "LOST_FRACTION", 0.0),
+            (margins, "max_deviation", _off_course_by_uncertainty),
         ),
         (*WALLS, "near-walls-bench", "gap-bench"),
     ),

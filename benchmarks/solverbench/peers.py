@@ -112,10 +112,10 @@ def numpy_reference(meter: Meter, seed: int) -> NoReturn:
         return evaluate(meter.problem, signals.T).total
 
     for restart in itertools.count():
-        swarm = Swarm.scattered(_SWARM, meter.length, mix(seed, restart), numpy_costs)
+        swarm = Swarm.create_random(_SWARM, meter.length, mix(seed, restart), numpy_costs)
         while swarm.z < _SWARM.iterations:
             swarm.iterate()
-            meter.note(swarm.best.cost)
+            meter.note(swarm.global_best.cost)
     raise RaceOver
 
 

@@ -23,7 +23,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from tetractl.control.search.cost import evaluate, predict
-from tetractl.control.search.search_progress import Progress
+from tetractl.control.search.search_progress import SearchProgress
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
 from tetractl.spec.base import Positive
@@ -106,7 +106,7 @@ class Ipopt(OptimizerSection):
         if warm is not None:
             solutions.note(warm)
             solutions.solve(warm, ITERATIONS_WARM, warm=True)
-            return solutions.search()
+            return solutions.to_search()
         rng = np.random.default_rng(key)
         starts = best_random_starts(problem, length, rng, STARTS)
         solutions.note(starts[0])
@@ -114,10 +114,10 @@ class Ipopt(OptimizerSection):
             first = solutions.solve(start, ITERATIONS_COLD, warm=False)
             if first is not None:
                 solutions.solve(first, ITERATIONS_WARM, warm=True)
-        return solutions.search()
+        return solutions.to_search()
 
 
-class _Solutions(Progress):
+class _Solutions(SearchProgress):
     """The progress of a search, and the number of IPOPT iterations that remain."""
 
     def __init__(self, problem: Problem, length: int, limits: Limits, tolerance: float) -> None:
@@ -128,18 +128,18 @@ class _Solutions(Progress):
 
     def note(self, signals: Floats) -> None:
         """Evaluate one sequence. The search is over if it is good enough."""
-        self.add(signals[:, None], evaluate(self.problem, signals[None]).total)
-        if self.cost <= self.tolerance:
-            self.ended = StopReason.TARGET
+        self.add_iteration(signals[:, None], evaluate(self.problem, signals[None]).total)
+        if self.best_cost <= self.tolerance:
+            self.stop_reason = StopReason.TARGET
 
     def solve(self, guess: Floats, iterations: int, warm: bool) -> Floats | None:
         """Solve from a guess, and return the directions found.
 
         The result is None if the search is over.
         """
-        if self.ended is None:
-            self.ended = self.limit_before(1)
-        if self.ended is not None or self.iterations_left <= 0:
+        if self.stop_reason is None:
+            self.stop_reason = self.find_limit(1)
+        if self.stop_reason is not None or self.iterations_left <= 0:
             return None
         programme = shooting_programme(self.problem, self.length, iterations, warm=warm)
         signals = wrap(programme.solve(self.problem, guess))

@@ -4,7 +4,7 @@ import numpy as np
 
 from testkit.references.paper import World
 from tetractl.control.search.cost import evaluate
-from tetractl.control.search.optimizers.pso import Pso, best_of
+from tetractl.control.search.optimizers.pso import Pso, find_best
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
@@ -84,16 +84,16 @@ def is_decided(problem: Problem, length: int, warm, spec: Pso, key: int) -> bool
         near = np.abs(cost - other_cost) <= 1e-9 * (1 + np.abs(cost))
         return bool(np.any(near & (u != other_u).any(axis=-1)))
 
-    swarm = spec.swarm(problem, length, warm, key)
+    swarm = spec.create_swarm(problem, length, warm, key)
     for _ in range(spec.iterations):
-        global_best = swarm.best
+        global_best = swarm.global_best
         local_bests = swarm.u_lb.T.copy()
-        local_costs = swarm.local_costs.copy()
+        local_costs = swarm.local_best_costs.copy()
         swarm.iterate()
         if close(evaluate(problem, swarm.u.T).total, local_costs, swarm.u.T, local_bests):
             return False
-        leader = best_of(swarm.u_lb, swarm.local_costs)
-        if close(swarm.local_costs, leader.cost, swarm.u_lb.T, leader.signals):
+        leader = find_best(swarm.u_lb, swarm.local_best_costs)
+        if close(swarm.local_best_costs, leader.cost, swarm.u_lb.T, leader.signals):
             return False
         if close(leader.cost, global_best.cost, leader.signals, global_best.signals):
             return False

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import BaseModel
 
-from tetractl.control.search.near_targets import kept_apart
+from tetractl.control.search.near_targets import target_separation
 from tetractl.core.elementary import expm1
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
@@ -496,7 +496,7 @@ def targets_near_each_other(context: CheckContext) -> Findings:
     if not context.collision:
         return
     setup = context.setup
-    separation_min = kept_apart(context.collision, setup.speed, setup.period_s)
+    separation_min = target_separation(context.collision, setup.speed, setup.period_s)
     for i, neighbour, distance in find_nearest(setup, setup.targets):
         if 0 < distance < separation_min:
             gap = context.length_text(distance)

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from tetractl.control.methods.fixed_sequence import given_search, make_plan
 from tetractl.control.methods.plain import PlainController, PlainSection
-from tetractl.control.search.cost import foreseen_along, predict
+from tetractl.control.search.cost import predict, prediction_from_path
 from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
@@ -161,7 +161,7 @@ class Ensemble(PlainController):
         Its action is FieldOff if the field is off, whatever `signals` are.
         """
         path = np.stack([problem.poses.array(), end.array()])
-        foreseen = foreseen_along(problem, path)
+        foreseen = prediction_from_path(problem, path)
         search = given_search(problem, signals, foreseen)
         plan = make_plan([search], 0, step_key, foreseen)
         return replace(plan, instead=FieldOff() if self._field is None else None)

@@ -18,7 +18,7 @@ import numpy as np
 
 from tetractl.control.methods.fixed_sequence import best_stop, given_plan
 from tetractl.control.methods.plain import PlainController, PlainSection
-from tetractl.control.search.cost import foresee
+from tetractl.control.search.cost import predict_with_costs
 from tetractl.control.search.rng import uniform
 from tetractl.core import elementwise
 from tetractl.core.obstacles import Obstacles
@@ -154,7 +154,7 @@ class Rrt(PlainController):
         ):
             return None
         delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
-        if error > foresee(problem, signals).target:
+        if error > predict_with_costs(problem, signals).target:
             return None
         outcome = Outcome.NO_BETTER_PLAN
         return End(outcome, delay_ns) if delay_ns else outcome

@@ -93,7 +93,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     frames: list[Frame] = []
     path: list[Floats] = []
     costs: list[float] = []
-    swarm = section.swarm(request.problem, request.length, request.warm, request.key)
+    swarm = section.create_swarm(request.problem, request.length, request.warm, request.key)
     for z in range(last + 1):
         if searches.expired():
             raise LogError(f"{log.log}: running the first search of the trial again takes too long")
@@ -101,14 +101,16 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
             swarm.iterate()
         particles = swarm.u[SEEN].T.copy()
         path.append(particles[0])
-        costs.append(swarm.best.cost)
+        costs.append(swarm.global_best.cost)
         if z in wanted:
-            frames.append(Frame(z, particles, swarm.best.signals[SEEN], swarm.best.cost))
+            frames.append(
+                Frame(z, particles, swarm.global_best.signals[SEEN], swarm.global_best.cost)
+            )
     return SwarmHistory(
         tuple(frames),
         np.array(path),
         swarm.u_lb[SEEN, 0],
-        _landscape(request.problem, swarm.best.signals),
+        _landscape(request.problem, swarm.global_best.signals),
         bool(np.array_equal(costs, logged_costs)),
     )
 

@@ -153,12 +153,12 @@ def deviations_and_causes(comparison: Comparison, period_s: float) -> tuple[Floa
         is proportional to, if a robot turns more or later than predicted: the predicted turn [rad],
         and the fall of the predicted rate [rad/s], shape (N, 2).
     """
-    from tetractl.control.search.evaluate import compiled_foresee
+    from tetractl.control.search.evaluate import compiled_prediction
 
     steps, frame = comparison
     first = steps[0]
     problem = replace(first.problem, period=period_s, first_period=period_s)
-    path = compiled_foresee(problem, np.array([step.direction for step in steps])).path
+    path = compiled_prediction(problem, np.array([step.direction for step in steps])).path
     periods = (frame.sampled_ns - first.acts_ns) / SECOND / period_s
     before = min(int(periods), len(steps) - 1)
     at_frame = path[before] + (periods - before) * (path[before + 1] - path[before])  # (N, 3)

@@ -27,7 +27,7 @@ from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.methods.algorithm2_section import PsoMpc
 from tetractl.control.methods.fixed_sequence import make_plan
 from tetractl.control.methods.trial_time import TrialTime
-from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.evaluate import compiled_prediction
 from tetractl.control.search.rng import mix
 from tetractl.core.commands import Command
 from tetractl.core.plan import Decision, Limits, Outcome
@@ -90,7 +90,7 @@ class Algorithm2:
             for length, start in self._starts()  # lines 3 and 21
         ]
         best = int(np.argmin([search.cost for search in searches]))  # lines 5 and 23
-        foreseen = compiled_foresee(problem, searches[best].signals)
+        foreseen = compiled_prediction(problem, searches[best].signals)
         plan = make_plan(searches, best, step_key, foreseen)
         self.warm = plan.signals[1:]  # lines 6 and 24
         self.k += 1

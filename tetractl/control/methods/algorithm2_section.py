@@ -82,11 +82,11 @@ class SearchFields(PlainSection):
 
     def warm_up(self, setup: Setup) -> None:
         """Compile the planner's functions, by searching for one signal and predicting its path."""
-        from tetractl.control.search.evaluate import compiled_foresee
+        from tetractl.control.search.evaluate import compiled_prediction
 
         problem = self.problem(setup)
         search = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
-        compiled_foresee(problem, search.signals)
+        compiled_prediction(problem, search.signals)
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
         """Create the controller of one trial; see `ControllerSection.build`."""

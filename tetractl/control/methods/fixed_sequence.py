@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.control.search.cost import Foreseen, foresee
+from tetractl.control.search.cost import Prediction, predict_with_costs
 from tetractl.control.search.evaluate import compiled_drive
 from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
@@ -16,7 +16,7 @@ from tetractl.core.plan import Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 
 
-def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
+def given_search(problem: Problem, signals: Floats, foreseen: Prediction) -> Search:
     """Create the record of a search whose result is a given sequence, as if one was evaluated.
 
     Args:
@@ -28,7 +28,7 @@ def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Searc
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 
-def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: Foreseen) -> Plan:
+def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: Prediction) -> Plan:
     """Create the plan of a control step from its searches.
 
     Args:
@@ -58,7 +58,7 @@ def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
         signals: The sequence [rad], shape (L,).
         step_key: Key of all random numbers in the step.
     """
-    foreseen = foresee(problem, signals)
+    foreseen = predict_with_costs(problem, signals)
     return make_plan([given_search(problem, signals, foreseen)], 0, step_key, foreseen)
 
 

@@ -90,10 +90,10 @@ from tetractl.control.methods.trial_time import TrialTime
 from tetractl.control.methods.turns import NOT_TURNING, Turning, next_facing
 from tetractl.control.methods.value import CandidateValues
 from tetractl.control.search.discs import Discs
-from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.evaluate import compiled_prediction
 from tetractl.control.search.holding import CircleSearch
 from tetractl.control.search.margins import Margins
-from tetractl.control.search.near_targets import kept_apart, spread_apart
+from tetractl.control.search.near_targets import spread_targets, target_separation
 from tetractl.control.search.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
@@ -331,8 +331,8 @@ class Mpc:
         legs = self.setup.legs
         last = len(legs) if self.setup.hold else len(legs) - 1
         stated = legs[min(index, len(legs) - 1), present]  # a hold is at the targets
-        least = kept_apart(collision, self.setup.speed[present], self.section.period)
-        targets = spread_apart(stated, least)
+        least = target_separation(collision, self.setup.speed[present], self.section.period)
+        targets = spread_targets(stated, least)
         walls = self.setup.arena if collision.walls else None
         shapes = list(self.setup.obstacles)
         if collision.radius and self.setup.on_wheels:
@@ -429,7 +429,7 @@ class Mpc:
         length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
         circler = self.host.wrap(CircleSearch())
         search = circler.search(problem, length, step.warm, self._step_key, self._limits())
-        foreseen = compiled_foresee(problem, search.signals)
+        foreseen = compiled_prediction(problem, search.signals)
         return replace(make_plan([search], 0, self._step_key, foreseen), state=State.HOLDING)
 
     # under way
@@ -523,7 +523,7 @@ class Mpc:
         if delay_ns == 0 or not self.stands:
             return delay_ns, error
         seconds = delay_ns / SECOND + REACTION_S
-        if self.leg.discs.enters_if_held(problem, held, seconds):
+        if self.leg.discs.collide_if_held(problem, held, seconds):
             return best_stop(problem, held, 0.0)
         return delay_ns, error
 
@@ -605,7 +605,7 @@ class Mpc:
         planned = last.path[signals_over:]  # poses before each signal left, and at the end
         problem = with_targets_ahead(step.problem, planned)
         search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, self._limits())
-        foreseen = compiled_foresee(problem, search.signals)
+        foreseen = compiled_prediction(problem, search.signals)
         strays = self._strays(Poses.from_array(planned[AHEAD]), foreseen.target)
         if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
             return self._standing(step.problem, State.RESTING, [search])
@@ -769,7 +769,7 @@ class Mpc:
 
     def _planned(self, problem: Problem, searches: Sequence[Search], number: int) -> Plan:
         """Return the plan of the search with the index `number`, with its predicted path."""
-        foreseen = compiled_foresee(problem, searches[number].signals)
+        foreseen = compiled_prediction(problem, searches[number].signals)
         return make_plan(searches, number, self._step_key, foreseen)
 
     def _value(self, step: ControlStep, plan: Plan) -> float:
@@ -787,7 +787,7 @@ class Mpc:
 
     def _given(self, problem: Problem, signals: Floats, searches: Iterable[Search] = ()) -> Plan:
         """Create a plan with given signals (L,), after `searches` that found no better one."""
-        foreseen = compiled_foresee(problem, signals)
+        foreseen = compiled_prediction(problem, signals)
         all_searches = [*searches, given_search(problem, signals, foreseen)]
         return make_plan(all_searches, len(all_searches) - 1, self._step_key, foreseen)
 
@@ -806,7 +806,7 @@ class Mpc:
         The margins grow with the uncertainty of the estimate. An estimate of None means that the
         motion is known exactly.
         """
-        return self.leg.margins.applied(
+        return self.leg.margins.apply(
             problem, self.section.period, self.estimator.dead_time_s, estimate
         )
 
@@ -819,4 +819,4 @@ class Mpc:
         """
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])
-        return self.leg.discs.enters_if_held(problem, directions, seconds)
+        return self.leg.discs.collide_if_held(problem, directions, seconds)

@@ -269,7 +269,7 @@ class RecommendedMpc(SearchFields):
         from tetractl.control.estimation import filter as pose_filter
         from tetractl.control.methods.passage import find_sequences
         from tetractl.control.search.discs import Discs
-        from tetractl.control.search.evaluate import compiled_branches, compiled_drive
+        from tetractl.control.search.evaluate import compiled_branch_paths, compiled_drive
         from tetractl.control.search.margins import Margins
 
         super().warm_up(setup)
@@ -278,9 +278,9 @@ class RecommendedMpc(SearchFields):
         problem = self.problem(setup)
         none = np.zeros(1)
         path = compiled_drive(problem, np.zeros(len(problem.a)), none)
-        compiled_branches(problem, path, none, none, 0.0)
+        compiled_branch_paths(problem, path, none, none, 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load
             next(find_sequences(problem, setup.arena, 0, 0), None)
-        Discs(self.collision.radius, setup.obstacles, setup.arena).enters(path)
+        Discs(self.collision.radius, setup.obstacles, setup.arena).collide(path)
         margins = Margins(self.collision, setup.obstacles, setup.arena, setup.targets)
-        margins.grown(problem.poses, 0.0)
+        margins.grow_obstacles(problem.poses, 0.0)

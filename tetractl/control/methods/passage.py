@@ -30,8 +30,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from tetractl.control.search.discs import gaps
-from tetractl.control.search.evaluate import compiled_branches
+from tetractl.control.search.discs import distances_to_obstacles
+from tetractl.control.search.evaluate import compiled_branch_paths
 from tetractl.control.search.rng import uniform
 from tetractl.core import elementwise
 from tetractl.core.plan import Problem
@@ -128,7 +128,7 @@ class Tree:
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
         starts = nodes.poses[parents]
-        path = compiled_branches(self._problem, starts, directions, turns, part)[1:]
+        path = compiled_branch_paths(self._problem, starts, directions, turns, part)[1:]
         self._grown = Nodes(parents, directions, path[-1])
         return path
 
@@ -260,7 +260,9 @@ def _grid_distances(problem: Problem, grid: Squares) -> Floats:
     """
     x = grid.centres[:, 0].copy()
     y = grid.centres[:, 1].copy()
-    free = gaps(problem.obstacles, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
+    free = (
+        distances_to_obstacles(problem.obstacles, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
+    )
     return grid.ways(free, problem.targets)
 
 
@@ -295,7 +297,7 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
     between = elementwise.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
     apart = (between > problem.separation).all(axis=-1)  # (T, B)
-    to_obstacles = gaps(problem.obstacles, x.ravel(), y.ravel())
+    to_obstacles = distances_to_obstacles(problem.obstacles, x.ravel(), y.ravel())
     outside = (to_obstacles > 0).all(axis=0)
     outside_all = outside.reshape(x.shape).all(axis=-1)
     return np.asarray((apart & outside_all).all(axis=0))

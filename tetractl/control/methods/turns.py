@@ -91,5 +91,5 @@ def roomiest(problem: Problem, discs: Discs, apart: float) -> float:
     way = seconds[:, None, None] * problem.speed  # (M, 1, N)
     x = problem.poses.x + way * elementwise.cos(directions)[:, None]  # (M, U, N)
     y = problem.poses.y + way * elementwise.sin(directions)[:, None]
-    clearances = discs.least_clearance(x, y, apart)
+    clearances = discs.min_clearance(x, y, apart)
     return float(directions[np.argmax(clearances.mean(axis=0))])

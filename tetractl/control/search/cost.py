@@ -12,7 +12,7 @@ the other motions in `tetractl.model.motion`. In two extensions of the paper, P 
 pair of robots that is nearer than the `separation` at a predicted position, and if robots have to
 stay `within` R of their targets,
 
-    f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d) = 1 + STRAY (d - 1) if d > 1,
+    f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d) = 1 + 0.3 (d - 1)  if d > 1,
                                                              else 0,
 
 which is R times the sum of the robots' fractions of time outside, plus a small cost that grows
@@ -31,8 +31,8 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 from tetractl.model.motion.turn_rate import all_in_rows, turning
 
-STRAY = 0.3
-"""Slope of h(d) beyond d = 1, where d is a robot's distance to its target in units of R."""
+STRAY_SLOPE = 0.3
+"""Slope 0.3 of h(d) beyond d = 1, where d is a robot's distance to its target in units of R."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Costs:
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
-    """What is predicted for one sequence of L signals: the path of all robots, and its costs.
+class Prediction:
+    """The predicted path of all robots under one sequence of L signals, and its costs.
 
     Attributes:
         path: Predicted poses, shape (L + 1, N, 3). The first row is the start.
@@ -65,30 +65,30 @@ class Foreseen:
     obstacle: float
 
 
-def foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Predict the path of all robots under a sequence of signals (L,), and what that path costs.
+def predict_with_costs(problem: Problem, signals: Floats) -> Prediction:
+    """Predict the path of all robots under a sequence of signals (L,), with its costs.
 
     Raises:
         ControlError: If a cost is not finite.
     """
-    return foreseen_along(problem, predict(problem, signals))
+    return prediction_from_path(problem, predict(problem, signals))
 
 
-def foreseen_along(problem: Problem, path: Floats) -> Foreseen:
-    """Compute the costs of a path that is already predicted, shape (L + 1, N, 3).
+def prediction_from_path(problem: Problem, path: Floats) -> Prediction:
+    """Add the costs to a path that is already predicted, shape (L + 1, N, 3).
 
     Raises:
         ControlError: If a cost is not finite.
     """
     costs = costs_along(problem, path[:, None])
-    return Foreseen(path, float(costs.target[0]), float(costs.obstacle[0]))
+    return Prediction(path, float(costs.target[0]), float(costs.obstacle[0]))
 
 
 def predict(problem: Problem, signals: Floats) -> Floats:
     """Predict the poses (L + 1, ..., N, 3) of robots that follow sequences of signals (..., L).
 
-    The first row along the first axis is the present poses, and each further row is the poses at
-    the end of a signal. A pose is x, y [length unit] and heading [rad].
+    The first entry along the first axis holds the present poses. Each further entry holds the
+    poses at the end of a signal. A pose is x, y [length unit] and heading [rad].
     """
     motion: Motion = MOTIONS.load(problem.motion)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
@@ -100,13 +100,13 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     if problem.bias is not None:
         directions = directions + problem.bias  # (L, ..., N)
     parameters = all_in_rows(problem)
-    turns = problem.side is not None or problem.saturation is not None
+    needs_rates = problem.side is not None or problem.saturation is not None
     for j, u in enumerate(directions):
         seconds = problem.first_period if j == 0 else problem.period
         heading = path[j, ..., 2]
-        rate = _rates(heading, u, parameters, seconds) if turns else problem.a
-        moved = motion.step(x[j], y[j], heading, u, rate, problem.speed, seconds)
-        path[j + 1] = np.stack(moved, axis=-1)
+        rates = turning_rates(heading, u, parameters, seconds) if needs_rates else problem.a
+        next_pose = motion.step(x[j], y[j], heading, u, rates, problem.speed, seconds)
+        path[j + 1] = np.stack(next_pose, axis=-1)
     if problem.flow is not None:
         periods = np.arange(len(directions)).reshape(-1, *(1 for _ in shape))
         times = problem.first_period + problem.period * periods
@@ -115,7 +115,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     return path
 
 
-def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
+def turning_rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
     """Compute each robot's turning rate a during one signal, shape (..., N) [rad/s].
 
     The motion's function `turning` computes it, from the robot's `side` and saturation.
@@ -124,9 +124,11 @@ def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Fl
     def rate(c: float, s: float, cu: float, su: float, *robot: float) -> float:
         return turning(c, s, cu, su, robot, seconds)[0]
 
-    rates = np.vectorize(rate)
-    toward = elementwise.cos(u), elementwise.sin(u)
-    return rates(elementwise.cos(heading), elementwise.sin(heading), *toward, *parameters.T)
+    vectorised_rate = np.vectorize(rate)
+    direction = elementwise.cos(u), elementwise.sin(u)
+    return vectorised_rate(
+        elementwise.cos(heading), elementwise.sin(heading), *direction, *parameters.T
+    )
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
@@ -147,12 +149,12 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
     x = path[..., 0]
     y = path[..., 1]
     if problem.within is None:
-        miss = elementwise.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
+        misses = elementwise.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
     else:
-        away = elementwise.hypot(x[1:] - problem.targets[:, 0], y[1:] - problem.targets[:, 1])
-        beyond = away / problem.within - 1
-        miss = problem.within * np.where(beyond > 0, 1 + STRAY * beyond, 0.0).mean(axis=0)
-    target = miss.sum(axis=-1)  # (8)
+        distances = elementwise.hypot(x[1:] - problem.targets[:, 0], y[1:] - problem.targets[:, 1])
+        excess = distances / problem.within - 1
+        misses = problem.within * np.where(excess > 0, 1 + STRAY_SLOPE * excess, 0.0).mean(axis=0)
+    target = misses.sum(axis=-1)  # (8)
     if problem.swept:
         hits = problem.obstacles.meets_segments(x[:-1], y[:-1], x[1:], y[1:])
     else:

@@ -18,13 +18,15 @@ import numpy as np
 
 from tetractl.control.search.cost import evaluate
 from tetractl.control.search.rng import normal
-from tetractl.control.search.search_progress import Progress
+from tetractl.control.search.search_progress import SearchProgress
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
 from tetractl.spec.controller import OptimizerSection
 
-PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
-RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])  # W of rotations, in units of the least a
+START_DIRECTIONS = np.linspace(-np.pi, np.pi, 16, endpoint=False)
+"""First directions of the rotations that are tried [rad]."""
+RELATIVE_RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])
+"""Rates W of the rotations that are tried, in units of the lowest turning rate a."""
 
 
 class CircleSearch(OptimizerSection):
@@ -37,28 +39,25 @@ class CircleSearch(OptimizerSection):
     """Number of randomly changed sequences in each round."""
     rounds: ClassVar[int] = 6
     """Number of rounds in one search."""
-    spread: ClassVar[float] = 0.6
+    first_std: ClassVar[float] = 0.6
     """Standard deviation of the random changes of a direction in the first round [rad]."""
-    shrink: ClassVar[float] = 0.8
-    """Factor by which this standard deviation changes from round to round."""
-    adding: ClassVar[float] = 0.4
+    std_factor: ClassVar[float] = 0.8
+    """Factor by which the standard deviation changes from round to round."""
+    accumulation: ClassVar[float] = 0.4
     """Size of the accumulating changes of each signal, relative to the independent ones."""
 
     @property
     def iterations_max(self) -> int:
-        """Number of rounds in one search.
-
-        Each tries random changes of the best sequence so far.
-        """
+        """Number of rounds in one search: each tries random changes of the best sequence so far."""
         return self.rounds
 
     @property
     def evaluations_min(self) -> int:
-        """Number of sequences whose costs a search computes if it ends after one round.
+        """Number of cost evaluations of a search that ends after one round.
 
-        They are all rotations, the previous plan and the sequences of one round.
+        The search evaluates all rotations, the previous plan and the sequences of one round.
         """
-        return len(PHASES) * len(RATES) + 1 + self.samples
+        return len(START_DIRECTIONS) * len(RELATIVE_RATES) + 1 + self.samples
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
@@ -68,43 +67,48 @@ class CircleSearch(OptimizerSection):
         If there is no previous plan, `warm` is None or empty. If the limits expire, the search
         ends with the best sequence so far.
         """
-        progress = Progress(length, limits)
+        progress = SearchProgress(length, limits)
         times = problem.period * np.arange(length)
-        angles = np.outer(RATES * problem.a.min(), times)
-        sequences = np.add.outer(PHASES, angles).reshape(-1, length)
+        angles = np.outer(RELATIVE_RATES * problem.a.min(), times)
+        sequences = np.add.outer(START_DIRECTIONS, angles).reshape(-1, length)
         if warm is not None and len(warm):
-            sequences = np.vstack([_extended(warm, length), sequences])
+            sequences = np.vstack([_fit_length(warm, length), sequences])
         sequences = wrap(sequences)
-        progress.add(sequences.T, evaluate(problem, sequences).total)
-        spread = self.spread
+        progress.add_iteration(sequences.T, evaluate(problem, sequences).total)
+        std = self.first_std
         for z in range(self.rounds):
-            progress.ended = progress.limit_before(self.samples)
-            if progress.ended is not None:
+            progress.stop_reason = progress.find_limit(self.samples)
+            if progress.stop_reason is not None:
                 break
-            sequences = wrap(progress.best + self._changes(key, z, length, spread))
-            spread *= self.shrink
-            progress.add(sequences.T, evaluate(problem, sequences).total)
-        return progress.search()
+            sequences = wrap(progress.best_signals + self._changes(key, z, length, std))
+            std *= self.std_factor
+            progress.add_iteration(sequences.T, evaluate(problem, sequences).total)
+        return progress.to_search()
 
-    def _changes(self, key: int, z: int, length: int, spread: float) -> Floats:
+    def _changes(self, key: int, z: int, length: int, std: float) -> Floats:
         """Generate one round's random changes of the best sequence [rad], (samples, length).
 
-        `z` is the index of the round. `spread` is the standard deviation of the changes [rad]. In
-        every other sequence, the changes accumulate from signal to signal.
+        In every other sequence, the changes accumulate from signal to signal.
+
+        Args:
+            key: Determines all random numbers of the search.
+            z: Index of the round.
+            length: Number of signals in a sequence.
+            std: Standard deviation of the changes [rad].
         """
-        draws = self.samples * length
-        changes = normal(key, z * draws, draws).reshape(-1, length)
+        n_draws = self.samples * length
+        changes = normal(key, z * n_draws, n_draws).reshape(-1, length)
         accumulating = changes[::2]  # every other sequence
-        np.cumsum(self.adding * accumulating, axis=1, out=accumulating)
-        return spread * changes
+        np.cumsum(self.accumulation * accumulating, axis=1, out=accumulating)
+        return std * changes
 
 
-def _extended(plan: Floats, length: int) -> Floats:
-    """Return a plan [rad] with exactly `length` signals.
+def _fit_length(plan: Floats, length: int) -> Floats:
+    """Extend or cut a plan [rad] to exactly `length` signals.
 
-    A shorter plan goes on with its last change of direction, or with a constant direction if it
-    has only one signal. A longer plan is cut.
+    A shorter plan continues with its last change of direction, or with a constant direction if
+    it has only one signal. A longer plan is cut.
     """
-    turn = plan[-1] - plan[-2] if len(plan) > 1 else 0.0
-    further = plan[-1] + turn * np.arange(1, length + 1)
-    return np.append(plan, further)[:length]
+    last_change = plan[-1] - plan[-2] if len(plan) > 1 else 0.0
+    continuation = plan[-1] + last_change * np.arange(1, length + 1)
+    return np.append(plan, continuation)[:length]

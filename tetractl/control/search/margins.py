@@ -2,30 +2,31 @@
 
 Robots deviate from a plan because some commands are lost, and because the robots' speeds and other
 parameters are only known with some uncertainty. While a robot follows a command, it leaves its
-course by at most (`off_course`)
+course by at most (`max_deviation`)
 
-    off = lost_way + min(a T, 1) v (l + SIGMAS sigma_l)
-          + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
+    off = lost + min(a T, 1) v (l + N_SIGMAS sigma_l)
+          + N_SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
 
     v    speed [length unit/s]             T    time for which a command is followed [s]
     a    turning rate [rad/s], above 0     tau  dead time: from a command to its effect [s]
     r    radius of a robot [length unit]   l    lag of the wheels [s], 0 if there is none
+    lost deviation after a lost command    (`near_targets.lost_command_deviation`)
     sigma_v, sigma_a, sigma_tau, sigma_l   standard deviations
 
 The second term accounts for wheels that respond with a lag. After a lost command, such wheels still
 follow the wrong turn: the heading is wrong by up to a T over a distance of v l, so the robot leaves
 its course by no more than this distance.
 
-With off, the largest such deviation of any robot, a plan should keep (`Margins.applied`)
+With off, the largest such deviation of any robot, a plan should keep (`Margins.apply`)
 
     full margin m       = collision.margin + r + off    between a centre and an obstacle or wall
     full separation s   = collision.separation + 2 off  between two centres; 0 if robots may meet
 
 Where robots or targets are already closer than that, no plan could keep it. There, less is kept:
 
-    fit(m, g)           = m if it is less than the gap g, else REDUCED max(g, 0)
+    fit(m, g)           = m if it is less than the gap g, else GAP_FRACTION max(g, 0)
     margin of obstacle  = max(fit(m, g), fit(r, g_target))      fit(r, ...) <= r <= m
-    separation          = min(s, max(REDUCED d, min(2 r, d)))
+    separation          = min(s, max(GAP_FRACTION d, min(2 r, d)))
 
     g_target  gap between the obstacle and the target nearest to it [length unit], negative inside
     g         gap between it and the robot or target nearest to it
@@ -43,9 +44,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.search.discs import gaps
-from tetractl.control.search.kernels.clearance import least_apart
-from tetractl.control.search.near_targets import lost_way
+from tetractl.control.search.discs import distances_to_obstacles
+from tetractl.control.search.kernels.clearance import min_pair_distance
+from tetractl.control.search.near_targets import lost_command_deviation
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
@@ -54,48 +55,52 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.spec.section_abilities import Clearance
 
-SIGMAS = 2.0
-"""Number of standard deviations by which uncertain values are taken into account; chosen."""
-REDUCED = 0.98
-"""Fraction of a gap that is kept where more does not fit into it; chosen."""
+N_SIGMAS = 2.0
+"""Number of standard deviations that margins add for uncertain parameters; chosen."""
+GAP_FRACTION = 0.98
+"""Fraction of a gap that robots keep free if the full margin does not fit into it; chosen."""
 
 
-def off_course(
-    speed: Floats, heard_s: float, dead_time_s: float, estimate: Estimate | None
+def max_deviation(
+    speed: Floats, held_s: float, dead_time_s: float, estimate: Estimate | None
 ) -> float:
     """Compute the maximum deviation of any robot from its course during one command [length unit].
 
     Args:
         speed: Speeds [length unit/s], shape (N,).
-        heard_s: How long a command is followed [s].
+        held_s: How long a command is followed [s].
         dead_time_s: Time from a command to its effect [s].
         estimate: The estimate of the motion. None if the motion is known exactly.
     """
-    lost = lost_way(speed, heard_s)
+    deviations = lost_command_deviation(speed, held_s)
     if estimate is None:
-        return float(lost.max())
+        return float(deviations.max())
     if estimate.lag is not None:
         lag_std_s = 0.0 if estimate.lag_std is None else estimate.lag_std
-        rolled = speed * (estimate.lag + SIGMAS * lag_std_s)
-        lost += np.minimum(estimate.a * heard_s, 1.0) * rolled
-    of_dead_time = speed * (estimate.dead_time_std or 0.0)
+        lag_path = speed * (estimate.lag + N_SIGMAS * lag_std_s)
+        deviations += np.minimum(estimate.a * held_s, 1.0) * lag_path
+    dead_time_part = speed * (estimate.dead_time_std or 0.0)
     # a is above 0: a spec states no other, and the filter estimates ln a
-    of_rates = speed * estimate.a_std / estimate.a + estimate.speed_std
-    uncertain = of_dead_time + of_rates * (dead_time_s + heard_s)
-    return float((lost + SIGMAS * uncertain).max())
+    rates_part = speed * estimate.a_std / estimate.a + estimate.speed_std
+    uncertainties = dead_time_part + rates_part * (dead_time_s + held_s)
+    return float((deviations + N_SIGMAS * uncertainties).max())
 
 
-def fit(margin: float, gap: Floats) -> Floats:
-    """Return the margin to keep in each gap, shape (O,).
+def fit_margins(margin: float, gap: Floats) -> Floats:
+    """Compute the margin that fits into each gap between an obstacle and a point, shape (O,).
 
-    It is the whole margin if that is smaller than the gap, and otherwise REDUCED times the gap, or
-    0 if the gap is negative.
+    The result is the whole margin if it is smaller than the gap. Otherwise it is GAP_FRACTION times
+    the gap, or 0 if the gap is negative.
+
+    Args:
+        margin: The whole margin [length unit].
+        gap: Distance from each obstacle to the nearest point [length unit], shape (O,).
     """
-    return np.where(gap > margin, margin, REDUCED * np.maximum(gap, 0.0))
+    return np.where(gap > margin, margin, GAP_FRACTION * np.maximum(gap, 0.0))
 
 
 class Margins:
-    """The distances that a plan keeps from obstacles and walls, for one task.
+    """The margins that plans keep from obstacles and other robots, on one leg of a trial.
 
     The object never changes.
 
@@ -117,40 +122,42 @@ class Margins:
         self._obstacles = Obstacles.from_shapes(shapes, 0.0, walls)
         x = targets[:, 0].copy()
         y = targets[:, 1].copy()
-        self._targets_apart = least_apart(x, y)
-        self._gaps_to_targets = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)  # (O,)
-        self._margins_of_bodies = fit(collision.radius, self._gaps_to_targets)  # (O,)
+        self._target_separation = min_pair_distance(x, y)
+        self._target_gaps = distances_to_obstacles(self._obstacles, x, y).min(
+            axis=1, initial=np.inf
+        )  # (O,)
+        self._body_margins = fit_margins(collision.radius, self._target_gaps)  # (O,)
 
-    def applied(
-        self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
+    def apply(
+        self, problem: Problem, held_s: float, dead_time_s: float, estimate: Estimate | None
     ) -> Problem:
-        """Return the problem with the distances that plans must keep from obstacles and robots.
+        """Return a problem with obstacles grown by their margins, and with the robots' separation.
 
-        Obstacles and walls grow by the margin, the robot radius, and an allowance for how far
-        robots may be off their course; by less where a robot or target would be inside. If
-        `collision.adaptive` is false, they always grow by the margin and the radius, and the
-        separation of the robots is that of the spec.
+        Obstacles and walls grow by the spec's margin, the robot's radius, and the maximum deviation
+        of robots from their courses. They grow by less if a robot or target would otherwise be
+        inside. If `collision.adaptive` is false, obstacles always grow by the margin and the
+        radius, and the robots keep the spec's separation.
 
         Args:
             problem: The problem of the control step.
-            heard_s: How long robots follow each command [s].
+            held_s: How long robots follow each command [s].
             dead_time_s: Time from a command to its effect [s].
             estimate: The estimate of the motion. None if the motion is known exactly.
         """
         collision = self._collision
         margin = collision.margin + collision.radius
         if not collision.adaptive:
-            everywhere = self._obstacles.grown(np.full(self._obstacles.count, margin))
-            return replace(problem, obstacles=everywhere, separation=collision.separation)
-        off = off_course(problem.speed, heard_s, dead_time_s, estimate)
-        separation = collision.separation + 2 * off if collision.separation else 0.0
+            grown = self._obstacles.grown(np.full(self._obstacles.count, margin))
+            return replace(problem, obstacles=grown, separation=collision.separation)
+        deviation = max_deviation(problem.speed, held_s, dead_time_s, estimate)
+        separation = collision.separation + 2 * deviation if collision.separation else 0.0
         return replace(
             problem,
-            obstacles=self.grown(problem.poses, margin + off),
+            obstacles=self.grow_obstacles(problem.poses, margin + deviation),
             separation=self.separation(problem.poses, separation),
         )
 
-    def grown(self, poses: Poses, margin: float) -> Obstacles:
+    def grow_obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Grow each obstacle and wall by a margin, or by less if the margin does not fit.
 
         A margin fits if no robot and no target is inside the grown obstacle. At least the part of
@@ -158,18 +165,23 @@ class Margins:
         """
         x = np.array(poses.x)  # a copy: an observation's are read-only, which is another type
         y = np.array(poses.y)
-        gaps_to_robots = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)
-        margins = fit(margin, np.minimum(self._gaps_to_targets, gaps_to_robots))
-        return self._obstacles.grown(np.maximum(margins, self._margins_of_bodies))
+        robot_gaps = distances_to_obstacles(self._obstacles, x, y).min(axis=1, initial=np.inf)
+        margins = fit_margins(margin, np.minimum(self._target_gaps, robot_gaps))
+        return self._obstacles.grown(np.maximum(margins, self._body_margins))
 
-    def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the distance that two robots keep: the wanted one, or less if they are closer.
+    def separation(self, poses: Poses, full_separation: float) -> float:
+        """Compute the separation that plans keep between two robots [length unit].
 
-        Targets that are closer together count likewise. The result is 0 if no separation is
-        wanted, or if there is only one robot. Lengths are in the spec's unit.
+        The result is the full separation, or less if two robots or two targets are already closer
+        together. The result is 0 if there is only one robot.
+
+        Args:
+            poses: Present poses of the robots.
+            full_separation: The separation to keep if there is enough space [length unit]. 0 if
+                robots may meet.
         """
-        present = min(least_apart(poses.x, poses.y), self._targets_apart)
-        if wanted <= 0 or present == np.inf:  # a single robot
+        closest = min(min_pair_distance(poses.x, poses.y), self._target_separation)
+        if full_separation <= 0 or closest == np.inf:  # a single robot
             return 0.0
-        bodies = min(2 * self._collision.radius, present)
-        return min(wanted, max(REDUCED * present, bodies))
+        touching = min(2 * self._collision.radius, closest)
+        return min(full_separation, max(GAP_FRACTION * closest, touching))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tetractl.core import elementwise
 from tetractl.core.poses import Floats
 
-Bits = NDArray[np.uint64]
+RandomBits = NDArray[np.uint64]
 
 GOLDEN = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio, made odd: the step of SplitMix64 (Steele, Lea and Flood 2014)."""
@@ -22,9 +22,9 @@ MASK = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def mix(key: int, index: int) -> int:
-    """Return random number `index` of a key.
+    """Return the random number that belongs to a key and an index, with 64 random bits.
 
-    The result has 64 random bits, and can also serve as a new key.
+    The result can also serve as a new key.
     """
     z = (key + (index + 1) * GOLDEN) & MASK
     z = ((z ^ (z >> 30)) * FACTORS[0]) & MASK
@@ -32,51 +32,51 @@ def mix(key: int, index: int) -> int:
     return z ^ (z >> 31)
 
 
-def bits(key: int, first: int, count: int) -> Bits:
+def random_bits(key: int, first_index: int, count: int) -> RandomBits:
     """Return consecutive random numbers of a key, each with 64 random bits, shape (count,).
 
     Args:
         key: The key.
-        first: Index of the first number.
+        first_index: Index of the first number.
         count: How many numbers to return.
     """
     with np.errstate(over="ignore"):
-        z = np.arange(first + 1, first + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
+        z = np.arange(first_index + 1, first_index + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
         z += np.uint64(key)
         z = (z ^ (z >> np.uint64(30))) * np.uint64(FACTORS[0])
         z = (z ^ (z >> np.uint64(27))) * np.uint64(FACTORS[1])
     return z ^ (z >> np.uint64(31))
 
 
-def uniform(key: int, first: int, count: int) -> Floats:
+def uniform(key: int, first_index: int, count: int) -> Floats:
     """Return uniform numbers in [0, 1) with 53 random bits each, shape (count,).
 
     Args:
         key: The key.
-        first: Index of the first number.
+        first_index: Index of the first number.
         count: How many numbers to return.
     """
-    return (bits(key, first, count) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    return (random_bits(key, first_index, count) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
+def uniform_pairs(key: int, first_index: int, count: int) -> tuple[Floats, Floats]:
     """Return pairs of independent uniform numbers in [0, 1), with 31 random bits each.
 
     Args:
         key: The key.
-        first: Index of the first pair.
+        first_index: Index of the first pair.
         count: How many pairs to return.
 
     Returns:
         The first and the second numbers of the pairs, shape (count,) each.
     """
-    z = bits(key, first, count)
-    high = z >> np.uint64(33)
-    low = z & np.uint64(0x7FFF_FFFF)
+    words = random_bits(key, first_index, count)
+    high = words >> np.uint64(33)
+    low = words & np.uint64(0x7FFF_FFFF)
     return high.astype(np.float64) * 2.0**-31, low.astype(np.float64) * 2.0**-31
 
 
-def normal(key: int, first: int, count: int) -> Floats:
+def normal(key: int, first_index: int, count: int) -> Floats:
     """Return random numbers of the standard normal distribution, shape (count,).
 
     The method is that of Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and
@@ -84,8 +84,8 @@ def normal(key: int, first: int, count: int) -> Floats:
 
     Args:
         key: The key.
-        first: Index of the first number.
+        first_index: Index of the first number.
         count: How many numbers to return.
     """
-    high, low = uniform_pair(key, first, count)
+    high, low = uniform_pairs(key, first_index, count)
     return np.sqrt(-2 * elementwise.log(1 - high)) * elementwise.cos(2 * np.pi * low)

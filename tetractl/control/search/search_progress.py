@@ -6,23 +6,29 @@ from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
 
 
-class Progress:
+class SearchProgress:
     """The best sequence that a search has found so far, and the number of evaluations it has used.
 
-    `history` holds the lowest cost after each iteration, shape (z + 1,). `ended` is the reason why
-    the search ended. It is None while the search continues.
+    Attributes:
+        length: Number of signals in a sequence.
+        limits: The limits at which the search has to end early.
+        best_signals: The best sequence so far [rad], shape (length,).
+        best_cost: The cost J of the best sequence.
+        history: The lowest cost after each iteration, shape (z + 1,).
+        evaluations: Number of cost evaluations so far.
+        stop_reason: Why the search ended. None while the search continues.
     """
 
     def __init__(self, length: int, limits: Limits) -> None:
         self.length = length
         self.limits = limits
-        self.best = np.zeros(length)
-        self.cost = np.inf
+        self.best_signals = np.zeros(length)
+        self.best_cost = np.inf
         self.history: list[float] = []
         self.evaluations = 0
-        self.ended: StopReason | None = None
+        self.stop_reason: StopReason | None = None
 
-    def limit_before(self, evaluations: int) -> StopReason | None:
+    def find_limit(self, evaluations: int) -> StopReason | None:
         """Find the limit that forbids a number of further evaluations.
 
         Returns:
@@ -34,43 +40,47 @@ class Progress:
             return StopReason.DEADLINE
         return None
 
-    def add(self, signals: Floats, costs: Floats) -> None:
-        """Record an iteration that has computed the costs (P,) of sequences (length, P)."""
-        leader = int(np.argmin(costs))
-        self.add_best(signals[:, leader], float(costs[leader]), costs.size)
+    def add_iteration(self, signals: Floats, costs: Floats) -> None:
+        """Record an iteration with its sequences (length, P) and their costs (P,)."""
+        best_index = int(np.argmin(costs))
+        self.add_best(signals[:, best_index], float(costs[best_index]), costs.size)
 
     def add_best(self, signals: Floats, cost: float, evaluations: int) -> None:
-        """Record an iteration of which only the best sequence matters.
+        """Record an iteration by its best sequence and its number of evaluations.
 
         Args:
-            signals: Its best sequence [rad], shape (length,).
-            cost: The cost of that sequence.
+            signals: The best sequence of the iteration [rad], shape (length,).
+            cost: The cost of this sequence.
             evaluations: Number of evaluations in the iteration.
         """
         self.evaluations += evaluations
-        self.keep(signals, cost)
+        self.add_to_history(signals, cost)
 
-    def keep(self, signals: Floats, cost: float) -> None:
-        """Append the lowest cost so far to the history.
+    def add_to_history(self, signals: Floats, cost: float) -> None:
+        """Append the lowest cost so far to the history, and update the best sequence.
 
-        The sequence `signals`, shape (length,), becomes the best one if it costs less than the
-        best so far, or if it is the first.
+        The given sequence becomes the best one if it costs less than the best so far, or if it is
+        the first.
+
+        Args:
+            signals: A sequence [rad], shape (length,).
+            cost: The cost of this sequence.
         """
-        if cost < self.cost or not self.history:
-            self.best = signals.copy()
-            self.cost = cost
-        self.history.append(self.cost)
+        if cost < self.best_cost or not self.history:
+            self.best_signals = signals.copy()
+            self.best_cost = cost
+        self.history.append(self.best_cost)
 
-    def search(self) -> Search:
+    def to_search(self) -> Search:
         """Return the record of the finished search.
 
-        If `ended` is None, the reason for the end is that all iterations were done.
+        If `stop_reason` is None, the record says that all iterations were done.
         """
         return Search(
             length=self.length,
-            signals=self.best,
-            cost=self.cost,
+            signals=self.best_signals,
+            cost=self.best_cost,
             history=np.minimum.accumulate(np.array(self.history)),
             evaluations=self.evaluations,
-            stopped=self.ended or StopReason.ITERATIONS,
+            stopped=self.stop_reason or StopReason.ITERATIONS,
         )

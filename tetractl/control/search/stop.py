@@ -10,10 +10,10 @@ from tetractl.core.plan import StopReason
 from tetractl.core.poses import Floats
 from tetractl.spec.base import Model, Positive
 
-WINDOW = 10
-"""Number of iterations over which the cost must fall. A search never stops earlier than this.
+WINDOW_ITERATIONS = 10
+"""Number of iterations over which the cost must fall for a search to continue.
 
-Only the criterion `target` can stop a search during these first iterations.
+During the first iterations, up to this number, only the criterion `target` can stop a search.
 """
 
 
@@ -54,46 +54,51 @@ StopCriterion = Annotated[
 ]
 
 
-def reason_to_stop(history: Floats, stop: StopCriterion) -> StopReason | None:
-    """Decide whether a search stops after iteration z = len(history) - 1.
+def reason_to_stop(history: Floats, criterion: StopCriterion) -> StopReason | None:
+    """Check whether a stop criterion ends a search after iteration z = len(history) - 1.
 
     Up to z = 10, only the criterion `target` can stop a search.
 
     Args:
         history: J(u_gb) after each iteration, shape (z + 1,).
-        stop: The criterion.
+        criterion: The spec's stop criterion.
 
     Returns:
         The reason to stop. None to continue.
     """
-    match stop:
+    match criterion:
         case BudgetStop():
             return None
         case TargetStop(cost=cost):
             return StopReason.TARGET if history[-1] <= cost else None
         case RelativeStop():
-            if len(history) <= WINDOW + 1:
+            if len(history) <= WINDOW_ITERATIONS + 1:
                 return None
-            before = history[-1 - WINDOW]
-            stops = before - history[-1] <= 0.01 * abs(before)
-            return StopReason.CRITERION if stops else None
+            cost_before = history[-1 - WINDOW_ITERATIONS]
+            has_stalled = cost_before - history[-1] <= 0.01 * abs(cost_before)
+            return StopReason.CRITERION if has_stalled else None
         case PaperStop():
-            return StopReason.CRITERION if paper_criterion(history) else None
+            return StopReason.CRITERION if meets_paper_criterion(history) else None
 
 
-def paper_criterion(history: Floats) -> bool:
-    """Check whether a search stops by the paper's (20), after iteration z = len(history) - 1.
+def meets_paper_criterion(history: Floats) -> bool:
+    """Check whether the paper's equation (20) ends a search after iteration z = len(history) - 1.
 
-    C = sum_{m=z-10}^{z} log J(m) / 2;  Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m)); stop if z > 10
-    and Delta < C. An iteration without improvement gives log 0 = -inf, hence a stop; J = 0 gives
-    -inf on both sides and no stop. Because of the logarithms, the criterion depends on the unit of
-    length.
+        C     = sum_{m=z-10}^{z} log J(m) / 2
+        Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m))
+
+    The search stops if z > 10 and Delta < C. An iteration without improvement gives log 0 = -inf,
+    and therefore a stop. J = 0 gives -inf on both sides, and no stop. Because of the logarithms,
+    the criterion depends on the unit of length.
+
+    Args:
+        history: J(u_gb) after each iteration, shape (z + 1,).
     """
     z = len(history) - 1
-    if z <= WINDOW:
+    if z <= WINDOW_ITERATIONS:
         return False
-    last = history[z - WINDOW :]
+    window = history[z - WINDOW_ITERATIONS :]
     with np.errstate(divide="ignore"):
-        c = elementwise.log(last).sum() / 2
-        delta = elementwise.log(last[:-1] - last[1:]).sum()
+        c = elementwise.log(window).sum() / 2
+        delta = elementwise.log(window[:-1] - window[1:]).sum()
     return bool(delta < c)

@@ -7,7 +7,7 @@ import pytest
 from testkit.trials import experiment
 
 from tetractl.control.estimation.prediction_check import AHEAD_S, PredictionCheck, SentStep
-from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.evaluate import compiled_prediction
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Observation, Poses
 
@@ -44,7 +44,7 @@ def errors(late_s=0.0, a_factor=1.0, speed_factor=1.0, aside_s=0.0, seen=True):
         period=fine_s,
         first_period=fine_s,
     )
-    path = compiled_foresee(truth, acting).path
+    path = compiled_prediction(truth, acting).path
     heading = path[:-1, :, 2]
     slide = aside_s * fine_s * PROBLEM.speed * np.array([-np.sin(heading), np.cos(heading)])
     path[1:, :, :2] += np.cumsum(slide, axis=1).transpose(1, 2, 0)

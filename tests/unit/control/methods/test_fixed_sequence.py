@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from testkit import problems
 
 from tetractl.control.methods.fixed_sequence import best_stop, given_plan, least_error, make_plan
-from tetractl.control.search.cost import evaluate, foresee, predict
+from tetractl.control.search.cost import evaluate, predict, predict_with_costs
 from tetractl.core.clock import SECOND
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import StopReason
@@ -43,7 +43,7 @@ def test_the_chosen_search_is_the_plan():
         replace(given_plan(problem, np.array([u]), 0).searches[0], cost=cost)
         for u, cost in ((0.1, 5.0), (0.2, 6.0), (0.3, 7.0))
     ]
-    foreseen = foresee(problem, np.array([0.2]))
+    foreseen = predict_with_costs(problem, np.array([0.2]))
     plan = make_plan(searches, 1, 9, foreseen)
     assert (plan.chosen, plan.cost, plan.signals.tolist()) == (1, 6.0, [0.2])
     assert len(plan.searches) == 3

@@ -75,7 +75,7 @@ def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
     assert missed < passage.DISTANCE_LEFT * (problem.speed / problem.a).sum()
     assert (
-        discs.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > -1.0
+        discs.min_clearance(path[..., 0], path[..., 1], SEPARATION).min() > -1.0
     )  # between moments
     passed = (path[..., 0] > 1300).argmax(axis=0)
     assert len(set(passed.tolist())) == 3

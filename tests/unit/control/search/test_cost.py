@@ -9,7 +9,7 @@ from testkit import problems
 from testkit.references import paper as oracle
 from testkit.trials import experiment
 
-from tetractl.control.search.cost import STRAY, evaluate, predict
+from tetractl.control.search.cost import STRAY_SLOPE, evaluate, predict
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
 from tetractl.model.shapes import Rectangle
@@ -126,7 +126,7 @@ def test_robots_that_hold_cost_their_time_outside_and_a_little_by_how_far(seed, 
         for (x, y), (target_x, target_y) in zip(place, problem.targets, strict=True):
             d = math.hypot(x - target_x, y - target_y) / within
             if d > 1:
-                expected += within * (1 + STRAY * (d - 1)) / length
+                expected += within * (1 + STRAY_SLOPE * (d - 1)) / length
     costs = evaluate(problem, signals[None])
     assert costs.target[0] == pytest.approx(expected, rel=1e-9)
 

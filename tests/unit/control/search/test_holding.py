@@ -8,14 +8,14 @@ from testkit import problems
 
 from tetractl.control.search import holding
 from tetractl.control.search.cost import evaluate
-from tetractl.control.search.holding import PHASES, RATES, CircleSearch
+from tetractl.control.search.holding import RELATIVE_RATES, START_DIRECTIONS, CircleSearch
 from tetractl.core.plan import Limits, StopReason
 from tetractl.core.poses import wrap
 
 pytestmark = pytest.mark.slow
 
 LENGTH = 20
-FIRST = len(PHASES) * len(RATES)  # rotations
+FIRST = len(START_DIRECTIONS) * len(RELATIVE_RATES)  # rotations
 ROUND = CircleSearch.samples
 
 
@@ -57,11 +57,11 @@ def test_first_all_rotations_are_tried_at_rates_of_the_slowest_robot(tried, robo
     CircleSearch().search(problem, LENGTH, None, 1, Limits())
     first = tried[0]
     assert first.shape == (FIRST, LENGTH)
-    assert np.unique(np.round(first[:, 0], 9)).size == len(PHASES)
+    assert np.unique(np.round(first[:, 0], 9)).size == len(START_DIRECTIONS)
     steps = turning(first)
     assert np.ptp(steps, axis=1).max() < 1e-9
     found = np.unique(np.round(steps[:, 0] / problem.period / 4.0, 9))
-    assert found.tolist() == sorted(RATES.tolist())
+    assert found.tolist() == sorted(RELATIVE_RATES.tolist())
     assert np.abs(first).max() <= np.pi
 
 
@@ -94,12 +94,12 @@ def test_each_round_tries_smaller_changes_of_the_best_so_far(tried):
     cost = np.inf
     for z, sequences in enumerate(tried):
         if z > 0:
-            spread = CircleSearch.spread * CircleSearch.shrink ** (z - 1)
+            spread = CircleSearch.first_std * CircleSearch.std_factor ** (z - 1)
             change = wrap(sequences - best)
             accumulating, single = change[::2], change[1::2]
             assert single.std() == pytest.approx(spread, rel=0.1)
             # a sum of j changes, each smaller by the factor
-            steps = CircleSearch.adding * spread
+            steps = CircleSearch.accumulation * spread
             if z >= 3:  # of which none exceeds a half turn
                 grown = np.sqrt(np.mean(accumulating**2, axis=0))
                 assert grown == pytest.approx(steps * np.sqrt(np.arange(1, LENGTH + 1)), rel=0.35)

@@ -10,8 +10,8 @@ from testkit import problems
 from testkit.trials import experiment
 
 from tetractl.control.methods.mpc_section import Collision
-from tetractl.control.search.margins import SIGMAS, Margins, off_course
-from tetractl.control.search.near_targets import LOST_SHARE
+from tetractl.control.search.margins import N_SIGMAS, Margins, max_deviation
+from tetractl.control.search.near_targets import LOST_FRACTION
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Observation, Poses
@@ -35,14 +35,14 @@ def at(*points):
 @pytest.mark.parametrize("shape", [BOX, ROUND])
 def test_the_margin_is_kept_where_there_is_room(shape):
     margins = margins_of([shape])
-    (grown,) = margins.grown(at((500, 500), (600, 600)), 40).shapes
+    (grown,) = margins.grow_obstacles(at((500, 500), (600, 600)), 40).shapes
     assert grown.radius == shape.radius + 40
 
 
 @pytest.mark.parametrize("away", [1.0, 15.0, 39.0])
 def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
     margins = margins_of([BOX, ROUND])
-    near, unreduced = margins.grown(at((1000 - away, 1050), (600, 600)), 40).shapes
+    near, unreduced = margins.grow_obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
     assert not near.contains(np.array(1000 - away), np.array(1050.0))
     assert near.contains(np.array(1000 - 0.9 * away), np.array(1050.0))
     assert unreduced.radius == 90
@@ -53,10 +53,10 @@ def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
 )
 def test_the_margin_is_not_reduced_below_the_radius(away, margin_kept):
     margins = margins_of([BOX], radius=10)
-    (shape,) = margins.grown(at((1000 - away, 1050), (600, 600)), 40).shapes
+    (shape,) = margins.grow_obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
     assert shape.radius == pytest.approx(margin_kept)
     beside = margins_of([BOX], targets=np.array([[995.0, 1050]]), radius=10)
-    (target,) = beside.grown(at((5, 5)), 40).shapes
+    (target,) = beside.grow_obstacles(at((5, 5)), 40).shapes
     assert target.radius == pytest.approx(0.98 * 5)
 
 
@@ -88,12 +88,12 @@ def test_what_is_uncertain_takes_more_room():
     of_dead_time = replace(known_well, dead_time_std=0.1)
     of_speed = replace(known_well, speed_std=np.full(3, 10.0))
 
-    least = off_course(speed, period, dead_time, known_well)
-    assert least == off_course(speed, period, dead_time, None) > 0
-    assert off_course(speed, period / 4, dead_time, known_well) == pytest.approx(least / 4)
-    more = off_course(speed, period, dead_time, of_dead_time)
+    least = max_deviation(speed, period, dead_time, known_well)
+    assert least == max_deviation(speed, period, dead_time, None) > 0
+    assert max_deviation(speed, period / 4, dead_time, known_well) == pytest.approx(least / 4)
+    more = max_deviation(speed, period, dead_time, of_dead_time)
     assert more == pytest.approx(least + 2 * 200 * 0.1)
-    more = off_course(speed, period, dead_time, of_speed)
+    more = max_deviation(speed, period, dead_time, of_speed)
     assert more == pytest.approx(least + 2 * 10 * (dead_time + period))
 
 
@@ -106,12 +106,13 @@ def test_a_lag_of_the_wheels_takes_more_room_and_an_uncertain_one_still_more():
     lag = replace(no_lag, lag=np.full(2, 0.1))
     uncertain = replace(lag, lag_std=np.full(2, 0.02))
     least, with_no_lag, with_lag, with_uncertain = (
-        off_course(speed, 0.05, 0.1, estimate) for estimate in (without_lag, no_lag, lag, uncertain)
+        max_deviation(speed, 0.05, 0.1, estimate)
+        for estimate in (without_lag, no_lag, lag, uncertain)
     )
     assert with_no_lag == least
     assert with_lag == pytest.approx(least + 4 * 0.05 * 200 * 0.1)
     assert with_uncertain == pytest.approx(least + 4 * 0.05 * 200 * 0.14)
-    longest = off_course(speed, 10.0, 0.1, lag) - off_course(speed, 10.0, 0.1, no_lag)
+    longest = max_deviation(speed, 10.0, 0.1, lag) - max_deviation(speed, 10.0, 0.1, no_lag)
     assert longest == pytest.approx(200 * 0.1)  # the whole way that the wheels roll on
 
 
@@ -148,7 +149,7 @@ def test_margins_that_are_not_adaptive_are_the_papers_wherever_robots_are():
         spec.controller.problem(spec.setup), poses=at((995, 1050), (996, 1050), (997, 1050))
     )
     margins = Margins(spec.controller.collision, [BOX], None, spec.setup.targets)
-    applied = margins.applied(problem, 0.2, 0.1, None)
+    applied = margins.apply(problem, 0.2, 0.1, None)
     assert applied.obstacles.shapes[0].radius == 40
     assert applied.separation == 55
 
@@ -171,16 +172,16 @@ def test_robots_leave_their_courses_by_the_formula(seed, heard_s, dead_time_s, r
     off = []
     for i in range(robots):
         lag_s = 0.0 if lags == "none" else lag[i]
-        lag_s += SIGMAS * lag_std[i] if lags == "uncertain" else 0.0
+        lag_s += N_SIGMAS * lag_std[i] if lags == "uncertain" else 0.0
         of_rates = speed[i] * a_std[i] / a[i] + speed_std[i]
         off.append(
-            LOST_SHARE * speed[i] * heard_s
+            LOST_FRACTION * speed[i] * heard_s
             + min(a[i] * heard_s, 1) * speed[i] * lag_s
-            + SIGMAS * (speed[i] * 0.07 + of_rates * (heard_s + dead_time_s))
+            + N_SIGMAS * (speed[i] * 0.07 + of_rates * (heard_s + dead_time_s))
         )
-    assert off_course(speed, heard_s, dead_time_s, estimate) == pytest.approx(max(off))
-    lost = LOST_SHARE * speed.max() * heard_s
-    assert off_course(speed, heard_s, dead_time_s, None) == pytest.approx(lost)
+    assert max_deviation(speed, heard_s, dead_time_s, estimate) == pytest.approx(max(off))
+    lost = LOST_FRACTION * speed.max() * heard_s
+    assert max_deviation(speed, heard_s, dead_time_s, None) == pytest.approx(lost)
 
 
 @settings(max_examples=25)
@@ -200,9 +201,9 @@ def test_margins_and_separation_are_those_of_the_formulas(seed, radius, separati
     collision = Collision(margin=25, radius=radius, separation=separation)
     world = problems.problem(problems.world(seed, robots, 0))
     problem = replace(world, poses=at(*starts))
-    applied = Margins(collision, shapes, walls, targets).applied(problem, 0.3, 0.1, None)
+    applied = Margins(collision, shapes, walls, targets).apply(problem, 0.3, 0.1, None)
 
-    off = LOST_SHARE * problem.speed.max() * 0.3
+    off = LOST_FRACTION * problem.speed.max() * 0.3
     full = 25 + radius + off
     bare = Obstacles.from_shapes(shapes, 0.0, walls)
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit.references.paper import split_mix
 
-from tetractl.control.search.rng import bits, mix, normal, uniform, uniform_pair
+from tetractl.control.search.rng import mix, normal, random_bits, uniform, uniform_pairs
 
 KEYS = st.integers(0, 2**64 - 1)
 PUBLISHED = {  # of the generator's reference implementation
@@ -24,12 +24,12 @@ PUBLISHED = {  # of the generator's reference implementation
 def test_the_published_numbers_come_out(seed):
     expected = list(PUBLISHED[seed])
     assert [mix(seed, i) for i in range(len(expected))] == expected
-    assert bits(seed, 0, len(expected)).tolist() == expected
+    assert random_bits(seed, 0, len(expected)).tolist() == expected
 
 
 @given(KEYS, st.integers(0, 10**9), st.integers(0, 40))
 def test_a_draw_depends_on_its_key_and_index_alone(key, first, count):
-    drawn = bits(key, first, count).tolist()
+    drawn = random_bits(key, first, count).tolist()
     assert drawn == [mix(key, first + i) for i in range(count)]
     assert drawn == [split_mix(key, first + i) for i in range(count)]
 
@@ -38,7 +38,7 @@ def test_numbers_are_uniform_and_independent():
     n = 100_000
     of_key_1 = uniform(1, 0, n)
     of_key_2 = uniform(2, 0, n)
-    high, low = uniform_pair(3, 0, n)
+    high, low = uniform_pairs(3, 0, n)
     for numbers in (of_key_1, of_key_2, high, low):
         assert numbers.min() >= 0
         assert numbers.max() < 1
@@ -52,7 +52,7 @@ def test_numbers_are_uniform_and_independent():
 
 
 def test_derived_keys_start_streams_of_their_own():
-    streams = [bits(mix(7, i), 0, 2000) for i in range(50)]
+    streams = [random_bits(mix(7, i), 0, 2000) for i in range(50)]
     assert np.unique(np.concatenate(streams)).size == 100_000
 
 

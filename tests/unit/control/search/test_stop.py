@@ -7,7 +7,7 @@ from tetractl.control.search.stop import (
     BudgetStop,
     RelativeStop,
     TargetStop,
-    paper_criterion,
+    meets_paper_criterion,
     reason_to_stop,
 )
 from tetractl.core.plan import Plan, StopReason
@@ -25,19 +25,19 @@ def test_20_by_hand():
     history = falling(30, *[2.0] * 11)  # z = 11
     c = sum(math.log(n) for n in range(28, 7, -2)) / 2
     assert 10 * math.log(2) < c
-    assert paper_criterion(history)
+    assert meets_paper_criterion(history)
 
 
 def test_20_looks_back_ten_iterations_only():
     history = np.concatenate([[5000.0, 5000.0], 5000.0 - np.cumsum([400.0] * 10)])
     assert len(history) == 12  # z = 11: the standstill at z = 1 is outside Delta
-    assert not paper_criterion(history)
+    assert not meets_paper_criterion(history)
 
 
 def test_a_cost_of_zero_is_minus_infinity_on_both_sides_and_no_stop():
     history = np.concatenate([falling(100, *[5.0] * 9), [0.0, 0.0]])
     assert history[-2:].tolist() == [0, 0]
-    assert not paper_criterion(history)
+    assert not meets_paper_criterion(history)
 
 
 def test_20_as_printed_is_a_budget_of_11_iterations_in_the_reference_experiment():
@@ -54,7 +54,7 @@ def test_20_as_printed_is_a_budget_of_11_iterations_in_the_reference_experiment(
 
 def test_20_depends_on_the_unit_of_length():
     history = 5 + 100 * 0.75 ** np.arange(13)
-    assert paper_criterion(1000 * history) != paper_criterion(history / 1000)
+    assert meets_paper_criterion(1000 * history) != meets_paper_criterion(history / 1000)
 
 
 def test_the_relative_stop_looks_over_its_window():

@@ -16,7 +16,7 @@ SEARCH = """
 import hashlib, sys
 from pathlib import Path
 from tetractl.core.commands import Steer
-from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.evaluate import compiled_prediction
 from tetractl.control.search.kernels.multistart import search
 from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.control.search.optimizers.pso import Pso
@@ -29,7 +29,7 @@ problem = experiment.controller.problem(experiment.setup)
 for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
     found = optimizer.search(problem, 30, None, 1, Limits())
     digest.update(found.signals.tobytes() + found.history.tobytes())
-    digest.update(compiled_foresee(problem, found.signals).path.tobytes())
+    digest.update(compiled_prediction(problem, found.signals).path.tobytes())
 print(sum(search.stats.cache_hits.values()), digest.hexdigest())
 """
 

@@ -65,7 +65,7 @@ def crosses(obstacles, x0, y0, x1, y1):
 
 
 @compiled(**ENTRY)
-def gaps(obstacles, x, y, distances):
+def distances_to_obstacles(obstacles, x, y, distances):
     """Compute the distance of each point to each obstacle.
 
     Args:
@@ -80,7 +80,7 @@ def gaps(obstacles, x, y, distances):
 
 
 @compiled(**ENTRY)
-def least_apart(x, y):
+def min_pair_distance(x, y):
     """Compute the minimum distance between any two points with coordinates x, y of shape (N,).
 
     It is inf for a single point.
@@ -93,7 +93,7 @@ def least_apart(x, y):
 
 
 @compiled(**ENTRY)
-def enters(grown, radius, path):
+def collide(grown, radius, path):
     """Check whether a body touches an obstacle or another body along a path.
 
     A body that touches an obstacle at the beginning counts only if it goes deeper.

@@ -82,10 +82,10 @@ class Multistart(OptimizerSection):
         """The cost J at which a sequence is good enough: `tolerance`."""
         return self.tolerance
 
-    def growth(self, problem: Problem) -> float:
-        """Return the factor, at least 1, by which settings grow with the number of robots.
+    def growth_factor(self, problem: Problem) -> float:
+        """Return the factor by which settings grow with the number of robots, at least 1.
 
-        The settings are `knots`, `steps` and `patience`. The factor is 1 if `grows` is False.
+        It multiplies `knots`, `steps` and `patience`. The factor is 1 if `grows` is False.
         """
         return max(1.0, np.square(len(problem.a) / 3)) if self.grows else 1.0
 
@@ -95,13 +95,13 @@ class Multistart(OptimizerSection):
         """Search from the previous plan `warm`, or from random sequences; see `Optimizer.search`.
 
         The previous plan, called the warm start, is polished first. If that fails, one round is
-        scattered, half of it around the warm start. The history holds J before and after each
+        scattered, half of it around the warm start. The history contains J before and after each
         polish and, in between, the merit of its steps: f of the paper's equation (8) plus the
         depths inside obstacles.
         """
         from tetractl.control.search.kernels import levenberg, motion, multistart, rollout
 
-        growth = self.growth(problem)
+        growth = self.growth_factor(problem)
         longest_step = float(problem.speed.max()) * problem.period
         iterations_max = round(self.steps * growth)
         rounds = multistart.rounds_for(  # arrays that the next search of this thread uses again
@@ -126,7 +126,7 @@ class Multistart(OptimizerSection):
             settings=settings,
             key=np.uint64(key),
             warm=np.empty(0) if warm is None else warm,
-            rounds=self._rounds(problem, length) if warm is None else 1,
+            rounds=self._rounds_max(problem, length) if warm is None else 1,
             budget=multistart.UNLIMITED if limits.evaluations is None else limits.evaluations,
         )
         if warm is None:
@@ -136,61 +136,66 @@ class Multistart(OptimizerSection):
         if limits.timed:
             robot_steps = len(task.room.residual) * length * problem.a.size
             iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
-            stopped = _stopped_in_time(task, rounds, iterations, limits)
+            stop_reason = _search_until_deadline(task, rounds, iterations, limits)
         else:
-            stopped = _reason(multistart.search(task, rounds, multistart.UNLIMITED))
+            stop_reason = _stop_reason(multistart.search(task, rounds, multistart.UNLIMITED))
         return Search(
             length=length,
             signals=rounds.best.copy(),
             cost=float(rounds.state.best_cost),
             history=np.minimum.accumulate(rounds.history[: rounds.state.history_entries]),
             evaluations=int(rounds.state.evaluations),
-            stopped=stopped,
+            stopped=stop_reason,
         )
 
-    def _rounds(self, problem: Problem, length: int) -> int:
-        """Return the number of rounds: `rounds`, or 1 if the targets are out of reach.
+    def _rounds_max(self, problem: Problem, length: int) -> int:
+        """Return the maximum number of rounds: `rounds`, or 1 if the targets are out of reach.
 
-        They are out of reach if even straight lines of `length` signals end too far from them.
+        Targets are out of reach if even straight lines of `length` signals end too far from them.
         """
-        gaps = problem.poses.distances(problem.targets)
+        distances = problem.poses.distances(problem.targets)
         reach = problem.speed * problem.seconds(length)
-        beyond = float(np.maximum(gaps - reach, 0.0).sum())
-        return 1 if beyond > self.tolerance else self.rounds
+        shortfall = float(np.maximum(distances - reach, 0.0).sum())
+        return 1 if shortfall > self.tolerance else self.rounds
 
 
-def _stopped_in_time(
+def _search_until_deadline(
     task: "SearchTask", rounds: "Rounds", iterations: int, limits: Limits
 ) -> StopReason:
-    """Run a search until it ends or its deadline has come, and return why it ended.
+    """Run a search until it ends or its deadline has passed, and return why it ended.
 
-    The clock is checked after every `iterations`. At the deadline, the polish under way ends as it
-    is. If it is the first one, it may end before it has improved its start. The reason is then the
-    deadline, even if the result is good enough.
+    At the deadline, the polish under way ends as it is. The first polish may therefore end before
+    it has improved its start. The reason is then the deadline, even if the result is good enough.
+
+    Args:
+        task: What to search.
+        rounds: The arrays and the state of the search.
+        iterations: Number of iterations between two checks of the deadline.
+        limits: The limits of the search, with the deadline.
     """
     from tetractl.control.search.kernels import multistart
 
-    # what the search spends if it ends now, so that a rerun of it can end at the same look
+    # evaluations if the search ended now, so that a rerun can end at the same check
     evaluations = rounds.evaluations_if_finished()
     while not limits.expired(evaluations):
-        end = multistart.search(task, rounds, iterations)
-        if end != multistart.UNDER_WAY:
-            return _reason(end)
+        end_code = multistart.search(task, rounds, iterations)
+        if end_code != multistart.UNDER_WAY:
+            return _stop_reason(end_code)
         evaluations = rounds.evaluations_if_finished()
     if evaluations > rounds.state.evaluations:
-        _reason(multistart.finish(task, rounds))
+        _stop_reason(multistart.finish(task, rounds))
     return StopReason.DEADLINE
 
 
-def _reason(end: int) -> StopReason:
-    """Convert the code with which a compiled search ends to a reason.
+def _stop_reason(end_code: int) -> StopReason:
+    """Convert the end code of a compiled search to a reason.
 
     Raises:
         ControlError: If a cost is not finite.
     """
     from tetractl.control.search.kernels import multistart
 
-    match end:
+    match end_code:
         case multistart.GOOD:
             return StopReason.TARGET
         case multistart.SPENT:

@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.search.rng import mix, uniform
-from tetractl.control.search.search_progress import Progress
+from tetractl.control.search.search_progress import SearchProgress
 from tetractl.control.search.stop import PaperStop, StopCriterion, reason_to_stop
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
@@ -35,9 +35,9 @@ from tetractl.spec.controller import OptimizerSection
 SPAN = UPPER - LOWER
 """Maximum change |ub - lb| of a signal in one iteration, equation (15) [rad]."""
 KEY_OF_START = 0
-"""Index that derives, from a search's key, the key of the random numbers for its start."""
+"""Index for `mix` that derives the key of the swarm's start from the key of the search."""
 KEY_OF_MOVES = 1
-"""Index that derives, from a search's key, the key of the random numbers for its moves (14)."""
+"""Index for `mix` that derives the key of the swarm's moves (14) from the key of the search."""
 
 
 class Pso(OptimizerSection):
@@ -80,25 +80,27 @@ class Pso(OptimizerSection):
         u_gb^0 is the warm start, or NULL if it is None. The line numbers in comments are the
         paper's.
         """
-        progress = Progress(length, limits)
-        swarm = self.swarm(problem, length, warm, key)  # lines 1-6
+        progress = SearchProgress(length, limits)
+        swarm = self.create_swarm(problem, length, warm, key)  # lines 1-6
         evaluations = self.particles if warm is None else self.particles + 1
-        progress.add_best(swarm.best.signals, swarm.best.cost, evaluations)
+        progress.add_best(swarm.global_best.signals, swarm.global_best.cost, evaluations)
         for _ in range(self.iterations):  # line 7
-            progress.ended = progress.limit_before(self.particles)
-            if progress.ended is None:
+            progress.stop_reason = progress.find_limit(self.particles)
+            if progress.stop_reason is None:
                 swarm.iterate()  # line 8
-                progress.add_best(swarm.best.signals, swarm.best.cost, self.particles)
-                progress.ended = reason_to_stop(np.array(progress.history), self.stop)  # line 9
-            if progress.ended is not None:
+                progress.add_best(swarm.global_best.signals, swarm.global_best.cost, self.particles)
+                progress.stop_reason = reason_to_stop(
+                    np.array(progress.history), self.stop
+                )  # line 9
+            if progress.stop_reason is not None:
                 break  # line 10
-        return progress.search()  # line 13
+        return progress.to_search()  # line 13
 
-    def swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
+    def create_swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
         """Create the swarm with which Algorithm 1 begins, lines 1-6.
 
-        Its u_gb is `warm` or, without a warm start, the best of all u_lb,n. A warm start is not
-        compared with the u_lb,n before the first iteration.
+        The swarm's u_gb is `warm` or, without a warm start, the best of all u_lb,n. A warm start is
+        not compared with the u_lb,n before the first iteration.
 
         Args:
             problem: What to minimise.
@@ -109,16 +111,16 @@ class Pso(OptimizerSection):
         # imported late: reading a spec searches nothing
         from tetractl.control.search.evaluate import compiled_costs
 
-        scattered = Swarm.scattered(self, length, key, compiled_costs(problem, self.particles))
+        swarm = Swarm.create_random(self, length, key, compiled_costs(problem, self.particles))
         if warm is None:
-            return scattered
-        cost_of_one = compiled_costs(problem, 1)
-        cost = float(cost_of_one(warm[:, None])[0])
-        return replace(scattered, best=Best(warm.copy(), cost))
+            return swarm
+        warm_costs_of = compiled_costs(problem, 1)
+        warm_cost = float(warm_costs_of(warm[:, None])[0])
+        return replace(swarm, global_best=BestSequence(warm.copy(), warm_cost))
 
 
 @dataclass(frozen=True, slots=True)
-class Best:
+class BestSequence:
     """The best sequence of signals (L,) [rad] met so far, with its cost J [length unit]."""
 
     signals: Floats
@@ -129,8 +131,8 @@ class Best:
 class Swarm:
     """A particle swarm: P sequences of L signals that move towards the best sequences met so far.
 
-    `scattered` creates a swarm, and `iterate` moves it. `costs_of` maps sequences (L, P) to their
-    costs J (P,). All random numbers are determined by `key`.
+    `create_random` creates a swarm, and `iterate` moves it. `costs_of` maps sequences (L, P) to
+    their costs J (P,). `key` determines all random numbers.
     """
 
     section: Pso
@@ -142,15 +144,15 @@ class Swarm:
     """Velocities v_n of the particles [rad per iteration], shape (L, P)."""
     u_lb: Floats
     """Best sequence u_lb,n that each particle has met [rad], shape (L, P)."""
-    local_costs: Floats
+    local_best_costs: Floats
     """Cost J(u_lb,n) of each particle's best sequence, shape (P,)."""
-    best: Best
+    global_best: BestSequence
     """Best sequence u_gb that the swarm has met, with its cost J(u_gb)."""
     z: int = 0
     """Number of iterations done."""
 
     @classmethod
-    def scattered(
+    def create_random(
         cls, section: Pso, length: int, key: int, costs_of: Callable[[Floats], Floats]
     ) -> "Swarm":
         """Create a swarm with random positions and velocities.
@@ -165,8 +167,8 @@ class Swarm:
             costs_of: Computes the costs (P,) of sequences (L, P).
         """
         shape = 3, length, section.particles
-        draws = uniform(mix(key, KEY_OF_START), 0, 3 * length * section.particles)
-        draws_u, draws_v, draws_lb = draws.reshape(shape)
+        uniform_draws = uniform(mix(key, KEY_OF_START), 0, 3 * length * section.particles)
+        draws_u, draws_v, draws_lb = uniform_draws.reshape(shape)
         u_lb = LOWER + SPAN * draws_lb
         local_costs = costs_of(u_lb)
         return cls(
@@ -176,19 +178,19 @@ class Swarm:
             u=LOWER + SPAN * draws_u,
             v=-SPAN + 2 * SPAN * draws_v,
             u_lb=u_lb,
-            local_costs=local_costs,
-            best=best_of(u_lb, local_costs),
+            local_best_costs=local_costs,
+            global_best=find_best(u_lb, local_costs),
         )
 
     def iterate(self) -> None:
         """Move all particles, then update the best sequences: line 8 of Algorithm 1."""
         self._move()
         costs = self.costs_of(self.u)
-        self.u_lb = np.where(costs < self.local_costs, self.u, self.u_lb)  # (18)
-        self.local_costs = np.minimum(costs, self.local_costs)
-        local = best_of(self.u_lb, self.local_costs)
-        if local.cost < self.best.cost:  # (19)
-            self.best = local
+        self.u_lb = np.where(costs < self.local_best_costs, self.u, self.u_lb)  # (18)
+        self.local_best_costs = np.minimum(costs, self.local_best_costs)
+        best = find_best(self.u_lb, self.local_best_costs)
+        if best.cost < self.global_best.cost:  # (19)
+            self.global_best = best
         self.z += 1
 
     def _move(self) -> None:
@@ -201,7 +203,7 @@ class Swarm:
             self.u,
             self.v,
             self.u_lb,
-            self.best.signals,
+            self.global_best.signals,
             np.uint64(self.key),
             self.z,
             self.section.inertia,
@@ -210,10 +212,12 @@ class Swarm:
         )
 
 
-def best_of(signals: Floats, costs: Floats) -> Best:
-    """Return the sequence with the lowest of the costs (P,) among sequences (L, P).
+def find_best(signals: Floats, costs: Floats) -> BestSequence:
+    """Find the sequence with the lowest cost, or the first one of several with equal costs.
 
-    Of equal costs, the first counts.
+    Args:
+        signals: Sequences [rad], shape (L, P).
+        costs: The cost J of each sequence, shape (P,).
     """
-    leader = int(np.argmin(costs))
-    return Best(signals[:, leader].copy(), float(costs[leader]))
+    best_index = int(np.argmin(costs))
+    return BestSequence(signals[:, best_index].copy(), float(costs[best_index]))

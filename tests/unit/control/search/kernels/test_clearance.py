@@ -32,7 +32,7 @@ PATHS = st.lists(POINTS, min_size=4, max_size=12)
 def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
     x, y = np.array(points).T.copy()
     distances = np.empty((region.count, len(x)))
-    clearance.gaps(arrays_of(region), x, y, distances)
+    clearance.distances_to_obstacles(arrays_of(region), x, y, distances)
     assert np.array_equal(distances, region.distances(x, y))
 
 
@@ -41,7 +41,7 @@ def test_the_least_distance_is_that_of_the_nearest_two(points):
     x, y = np.array(points).T.copy()
     distances = elementwise.hypot(x[:, None] - x, y[:, None] - y)
     of_pairs = distances[np.triu_indices(len(x), 1)]
-    assert clearance.least_apart(x, y) == of_pairs.min()
+    assert clearance.min_pair_distance(x, y) == of_pairs.min()
 
 
 OPTIONS = ["INLINE_EXACT", "ENTRY", "PART_FAST", "INLINE_FAST", "ENTRY_FAST"]
@@ -49,5 +49,5 @@ OPTIONS = ["INLINE_EXACT", "ENTRY", "PART_FAST", "INLINE_FAST", "ENTRY_FAST"]
 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_no_kernel_inherits_the_options_of_its_first_caller(name):
-    """Regression: compiled after a fast caller, `gaps` was fast too, and its last bits differed."""
+    """Regression: compiled after a fast caller, distances were fast too; last bits differed."""
     assert {"fastmath", "error_model", "nogil", "_nrt"} <= vars(options)[name].keys()

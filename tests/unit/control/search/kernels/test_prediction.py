@@ -9,12 +9,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from testkit import problems
 
-from tetractl.control.search.cost import evaluate, foresee, predict
+from tetractl.control.search.cost import evaluate, predict, predict_with_costs
 from tetractl.control.search.evaluate import (
-    compiled_branches,
+    compiled_branch_paths,
     compiled_costs,
     compiled_drive,
-    compiled_foresee,
+    compiled_prediction,
 )
 from tetractl.core.errors import ControlError
 from tetractl.core.obstacles import Obstacles
@@ -43,8 +43,8 @@ def test_it_leads_where_the_readable_prediction_does(
     world = problems.world(seed, robots, 3, motion, swept)
     problem = replace(problems.problem(world, separation, drifts), first_period=first)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
-    slow = foresee(problem, signals)
-    fast = compiled_foresee(problem, signals)
+    slow = predict_with_costs(problem, signals)
+    fast = compiled_prediction(problem, signals)
     assert fast.path == pytest.approx(slow.path, rel=1e-9, abs=1e-9)
     assert fast.path[0].tolist() == problem.poses.array().tolist()
     assert fast.target == pytest.approx(slow.target, rel=1e-9)
@@ -63,8 +63,8 @@ def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion
     poses = replace(problem.poses, heading=np.array([0.0, 0.3, -math.pi]))
     problem = replace(problem, poses=poses, a=np.array([6.0, 4.0, 3.0]))
     signals = np.array([math.pi, 0.7, -math.pi, 2.0, 2.2, -1.0])
-    slow = foresee(problem, signals)
-    fast = compiled_foresee(problem, signals)
+    slow = predict_with_costs(problem, signals)
+    fast = compiled_prediction(problem, signals)
     assert fast.path == pytest.approx(slow.path, rel=1e-6, abs=1e-4)
     assert fast.target == pytest.approx(slow.target, rel=1e-6)
 
@@ -79,7 +79,10 @@ def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     problem = replace(problems.problem(world), obstacles=walls)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (20, 12))
     for sequence in signals[:3]:
-        assert compiled_foresee(problem, sequence).obstacle == foresee(problem, sequence).obstacle
+        assert (
+            compiled_prediction(problem, sequence).obstacle
+            == predict_with_costs(problem, sequence).obstacle
+        )
     costs = compiled_costs(problem, 20)(np.ascontiguousarray(signals.T))
     assert costs == pytest.approx(evaluate(problem, signals).total, rel=1e-9)
     assert evaluate(problem, signals).obstacle.max() > 3
@@ -89,7 +92,7 @@ def test_a_pose_that_is_no_number_is_told():
     problem = problems.problem(problems.world(1))
     problem.poses.x[0] = np.nan
     with pytest.raises(ControlError, match="not finite"):
-        compiled_foresee(problem, np.zeros(3))
+        compiled_prediction(problem, np.zeros(3))
 
 
 @given(seed=SEEDS, robots=st.integers(1, 4), drifts=st.booleans())
@@ -118,11 +121,11 @@ def test_branches_are_the_readable_predictions_of_their_directions(seed, robots,
     start = rng.uniform(0, 3, (2, robots, 3))
     towards = rng.uniform(-3, 3, 2)
     turns = rng.random(5)
-    path = compiled_branches(problem, start, towards, turns, 0.1)
+    path = compiled_branch_paths(problem, start, towards, turns, 0.1)
     for b in range(2):
         poses = Poses.from_array(start[b])
         moved = replace(problem, poses=poses, first_period=0.1, period=0.1)
-        expected = foresee(moved, towards[b] + turns).path
+        expected = predict_with_costs(moved, towards[b] + turns).path
         assert path[:, b] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

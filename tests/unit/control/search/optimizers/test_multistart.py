@@ -79,9 +79,9 @@ def test_a_search_that_was_cut_short_comes_out_again(tolerance, looks, seed, war
 def test_knots_and_iterations_grow_with_the_square_of_the_robots():
     two = problems.problem(problems.world(1, robots=2, obstacles=0, model="exact"))
     twelve = problems.problem(problems.world(1, robots=12, obstacles=0, model="exact"))
-    assert Multistart().growth(two) == 1  # as for any number up to three
-    assert Multistart().growth(twelve) == (12 / 3) ** 2
-    assert Multistart(grows=False).growth(twelve) == 1
+    assert Multistart().growth_factor(two) == 1  # as for any number up to three
+    assert Multistart().growth_factor(twelve) == (12 / 3) ** 2
+    assert Multistart(grows=False).growth_factor(twelve) == 1
 
 
 def test_eight_robots_are_led_to_their_targets():

@@ -66,7 +66,7 @@ def test_line_5_takes_a_bad_warm_start_and_19_then_drops_it():
     away = np.full(8, math.atan2(y - target_y, x - target_x))
     result = search(problem, 8, away, swarm(30, 5), 11)
     assert result.history[0] == pytest.approx(evaluate(problem, away[None]).total[0], rel=1e-12)
-    scattered = swarm(30, 5).swarm(problem, 8, away, 11)
+    scattered = swarm(30, 5).create_swarm(problem, 8, away, 11)
     best = evaluate(problem, scattered.u_lb.T).total.min()
     assert result.history[0] > best  # taken without comparing it with the swarm
     assert result.history[1] <= best * (1 + 1e-12)

@@ -12,7 +12,7 @@ import time
 import numpy as np
 from solverbench.report import describe_load
 
-from tetractl.control.methods.lengths import Searcher, least_length
+from tetractl.control.methods.lengths import Searcher, min_length
 from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Problem, Search
@@ -65,9 +65,9 @@ def first_plans(trials: int) -> None:
                 problem = many(robots, seed)
                 begin = time.thread_time()
                 searcher = Searcher(optimizer, problem, seed, Limits())
-                searcher.spread(least_length(problem), 400, good)
+                searcher.search_lengths(min_length(problem), 400, good)
                 seconds.append(time.thread_time() - begin)
-                best = min(searcher.found, key=lambda way: (not good(way), way.length))
+                best = min(searcher.searches, key=lambda way: (not good(way), way.length))
                 solved += best.cost <= 1
                 signals.append(best.length)
             p50, p95 = np.quantile(seconds, [0.5, 0.95])

@@ -32,7 +32,7 @@ from tetractl.control.estimation.kernels import filter_state
 from tetractl.control.estimation.prior import Sticks
 from tetractl.control.estimation.reception import Reception
 from tetractl.control.methods import lengths, mpc, passage, turns
-from tetractl.control.methods.fixed_sequence import best_stop
+from tetractl.control.methods.fixed_sequence import find_best_stop
 from tetractl.control.methods.lengths import Searcher
 from tetractl.control.methods.mpc import Mpc
 from tetractl.control.methods.mpc_section import PriorSection, RecommendedMpc
@@ -90,43 +90,45 @@ def _returns(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
 
 def _value(**changes: Any) -> tuple[Any, str, Any]:
     """Create the replacement with which plans are valued as if `changes` held for each of them."""
-    plan = CandidateValues.plan
+    plan = CandidateValues.plan_value
 
     def changed(
-        self: CandidateValues, error: float, length: int, new: bool, touches: bool = False
+        self: CandidateValues, error: float, length: int, is_new: bool, touches: bool = False
     ) -> float:
-        return plan(self, error, length, **({"new": new, "touches": touches} | changes))
+        return plan(self, error, length, **({"is_new": is_new, "touches": touches} | changes))
 
-    return CandidateValues, "plan", changed
+    return CandidateValues, "plan_value", changed
 
 
 def _as_usual(self: Mpc, step: mpc.ControlStep, warm: Any) -> Any:
-    stop = self._stop(step, warm, self._bound_of_going_on(step, warm))
+    stop = self._stop(step, warm, self._lower_bound_of_driving(step, warm))
     return stop or self._go_on(self._search_under_way(step, warm))
 
 
 def _one_signal_more(self: Mpc, step: mpc.ControlStep, searcher: Searcher, start: Any) -> None:
     """Search lengths that differ by one signal, each from the present plan and without a start."""
-    least = min(self._value(step, plan) for plan in self._plans(step.problem, searcher.found))
+    plans = self._plans_of_searches(step.problem, searcher.searches)
+    least = min(self._value(step, plan) for plan in plans)
     for length in range(len(start), step.signals_max + 1):
-        if step.value.plan(0.0, length, length > len(start) + 1) >= least:
+        if step.values.plan_value(0.0, length, length > len(start) + 1) >= least:
             return
-        for begin in (lengths.resampled(start, length), None):
+        for begin in (lengths.resample(start, length), None):
             search = searcher.search(length, begin)
             if search is None:
                 return
-            newest = self._planned(step.problem, searcher.found, len(searcher.found) - 1)
+            last_index = len(searcher.searches) - 1
+            newest = self._plan_of_search(step.problem, searcher.searches, last_index)
             least = min(least, self._value(step, newest))
             if self._is_good(search):
                 break
 
 
 def _stop_now(self: Mpc, problem: Any, within_s: float) -> Any:
-    return best_stop(problem, self.estimator.held_at_action, 0.0)
+    return find_best_stop(problem, self.estimator.held_at_action, 0.0)
 
 
 def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
-    return best_stop(problem, self.estimator.held_at_action, within_s)
+    return find_best_stop(problem, self.estimator.held_at_action, within_s)
 
 
 _with_margins = Mpc._with_margins
@@ -163,7 +165,7 @@ def _alone(bank: Any, prior: Any) -> Any:
 RULES = {
     # what robots do: tetractl.control.methods.mpc
     "polish before a stop near the time limit": Rule(
-        ((Mpc, "_near_the_limit", _as_usual),),
+        ((Mpc, "_decide_near_time_limit", _as_usual),),
         (
             "sticking-5hz --set controller.time_limit=20",
             "saturated-2 --set controller.time_limit=15",
@@ -174,11 +176,11 @@ RULES = {
     "a plan that collides soon is not driven": Rule(
         (_returns(Mpc, "_collides_soon", False),), WALLS
     ),
-    "two dead times until a stop acts": Rule(((mpc, "LATE", 1.0),), WALLS),
-    "turns on the spot": Rule((_returns(mpc, "next_facing", None),), WALLS),
-    "turns to the most room": Rule((_returns(turns, "roomiest", 0.0),), WALLS),
-    "turns kept for four steps": Rule(((turns, "STEPS", 1),), WALLS),
-    "other turns after one in vain": Rule(((turns, "TURNS_IN_VAIN", 1),), WALLS),
+    "two dead times until a stop acts": Rule(((mpc, "STOP_DEAD_TIMES", 1.0),), WALLS),
+    "turns on the spot": Rule((_returns(mpc, "choose_facing", None),), WALLS),
+    "turns to the most room": Rule((_returns(turns, "find_freest_direction", 0.0),), WALLS),
+    "turns kept for four steps": Rule(((turns, "STEPS_PER_TURN", 1),), WALLS),
+    "other turns after one in vain": Rule(((turns, "FAILED_TURNS_MAX", 1),), WALLS),
     "stay in a hold": Rule(
         (_returns(Mpc, "_stay", None),),
         tuple(
@@ -193,23 +195,24 @@ RULES = {
     "ways of a tree round obstacles": Rule(((passage, "_grid_distances", _bee_lines),), ("gap",)),
     # lengths and values
     "shortening": Rule(
-        ((Searcher, "shorten", lambda self, *_: self.found[-1].length),), (*TIME, "sticking-5hz")
+        ((Searcher, "shorten", lambda self, *_: self.searches[-1].length),),
+        (*TIME, "sticking-5hz"),
     ),
-    "four first plans": Rule(((lengths, "TRIES", 1),), TIME),
-    "no more than four first plans": Rule(((lengths, "TRIES", 12),), TIME),
-    "slack": Rule(((mpc, "SLACK", 1.0),), (*TIME, "sticking-5hz")),
+    "four first plans": Rule(((lengths, "REST_PLANS", 1),), TIME),
+    "no more than four first plans": Rule(((lengths, "REST_PLANS", 12),), TIME),
+    "slack": Rule(((mpc, "LENGTH_SLACK", 1.0),), (*TIME, "sticking-5hz")),
     "longer plans": Rule((_returns(Mpc, "_search_longer", None),), (*TIME, "sticking-5hz")),
     "lengths that grow by a fifth": Rule(
         ((Mpc, "_search_longer", _one_signal_more),),
         (*TIME, *WALLS, "round-obstacle", "narrow-gap", "sticking-5hz", "cells"),
     ),
     "six signals a robot": Rule(((lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
-    "attempts cost": Rule((_value(new=False),), ("sticking-5hz", "wander", "strip")),
+    "attempts cost": Rule((_value(is_new=False),), ("sticking-5hz", "wander", "strip")),
     "attempts cost more and more": Rule(
         (_returns(RecommendedMpc, "patience_s", math.inf),),
         ("sticking-5hz", "wander", "saturated-2", "cells-pause"),
     ),
-    "time has a price": Rule(((CandidateValues, "price", 0.0),), ("wander", *TIME)),
+    "time has a price": Rule(((CandidateValues, "time_price", 0.0),), ("wander", *TIME)),
     "to touch a margin costs": Rule((_value(touches=False),), WALLS),
     # margins
     "margins for uncertain motion": Rule(((margins, "N_SIGMAS", 0.0),), WALLS),
@@ -225,7 +228,9 @@ RULES = {
         ((FilterBank, "tests_radio", property(lambda _: False)),),
         ("sparse-radio", "lossy-radio", "silent"),
     ),
-    "a signal is kept": Rule((_returns(Mpc, "_is_kept", False),), ("sparse-radio", "lossy-radio")),
+    "a signal is kept": Rule(
+        (_returns(Mpc, "_keeps_signal", False),), ("sparse-radio", "lossy-radio")
+    ),
     "a sparse radio is shown twice": Rule(
         ((Reception, "is_sparse", property(lambda self: self.times_shown > 0)),),
         ("sparse-radio", "later", "lossy-radio"),

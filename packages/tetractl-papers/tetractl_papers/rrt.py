@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from tetractl.control.methods.fixed_sequence import best_stop, given_plan
+from tetractl.control.methods.fixed_sequence import find_best_stop, given_plan
 from tetractl.control.methods.plain import PlainController, PlainSection
 from tetractl.control.search.cost import predict_with_costs
 from tetractl.control.search.rng import uniform
@@ -153,7 +153,9 @@ class Rrt(PlainController):
             or elementwise.cos(misalignment) < self.section.ahead
         ):
             return None
-        delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
+        delay_ns, error = find_best_stop(
+            problem, self.estimator.held_at_action, self.section.period
+        )
         if error > predict_with_costs(problem, signals).target:
             return None
         outcome = Outcome.NO_BETTER_PLAN

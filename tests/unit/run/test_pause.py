@@ -61,7 +61,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     tmp_path, monkeypatch
 ):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
-    monkeypatch.setattr("tetractl.control.methods.mpc.next_facing", lambda *_: None)
+    monkeypatch.setattr("tetractl.control.methods.mpc.choose_facing", lambda *_: None)
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     result = run_logged(spec, tmp_path, 3)
     log = read_trial(log_path(tmp_path, 3))

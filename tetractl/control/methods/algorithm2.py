@@ -80,7 +80,7 @@ class Algorithm2:
         if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
         self.time.add_step(observation, last_command)
-        if self.time.over:
+        if self.time.is_over:
             return Outcome.TIME_LIMIT
         if self.warm is not None and len(self.warm) == 0:
             return Outcome.SEQUENCE_COMPLETED
@@ -89,9 +89,9 @@ class Algorithm2:
             self.optimizer.search(problem, length, start, mix(step_key, length), Limits())
             for length, start in self._starts()  # lines 3 and 21
         ]
-        best = int(np.argmin([search.cost for search in searches]))  # lines 5 and 23
-        foreseen = compiled_prediction(problem, searches[best].signals)
-        plan = make_plan(searches, best, step_key, foreseen)
+        best_index = int(np.argmin([search.cost for search in searches]))  # lines 5 and 23
+        prediction = compiled_prediction(problem, searches[best_index].signals)
+        plan = make_plan(searches, best_index, step_key, prediction)
         self.warm = plan.signals[1:]  # lines 6 and 24
         self.k += 1
         return plan.extend_to_all(self.estimator.present, observation.poses)  # lines 7 and 25
@@ -104,9 +104,9 @@ class Algorithm2:
         if self.warm is None:
             lengths = range(1, self.section.horizon_max + 1)  # line 2
             return [(length, None) for length in lengths]
-        steps = len(self.warm)  # H of line 10
-        one_longer = (steps + 1, np.append(self.warm, 0.0))  # line 17
-        as_long = (steps, self.warm)  # line 19
-        if steps == 1:
-            return [as_long, one_longer]  # a sequence has at least one signal
-        return [(steps - 1, self.warm[1:]), as_long, one_longer]
+        n_left = len(self.warm)  # H of line 10
+        one_longer = (n_left + 1, np.append(self.warm, 0.0))  # line 17
+        same_length = (n_left, self.warm)  # line 19
+        if n_left == 1:
+            return [same_length, one_longer]  # a sequence has at least one signal
+        return [(n_left - 1, self.warm[1:]), same_length, one_longer]

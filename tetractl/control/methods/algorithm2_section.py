@@ -52,17 +52,17 @@ class SearchFields(PlainSection):
         return self.optimizer.iterations_max
 
     def bounds(self) -> dict[str, str]:
-        """Return the limits of horizons and evaluations as strings to display, {name: text}."""
-        texts = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
-        if most := self.optimizer.evaluations_max:
-            texts["cost evaluations of a horizon"] = f"at most {most}"
-        return texts
+        """Describe the limits of horizons and evaluations for display, as {name: text}."""
+        limits = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
+        if evaluations_max := self.optimizer.evaluations_max:
+            limits["cost evaluations of a horizon"] = f"at most {evaluations_max}"
+        return limits
 
     def numbers_held(self, setup: Setup) -> int:
         """Estimate how many floats the longest search stores.
 
-        These are the positions, velocities, bests and poses of particles, and the Jacobian of a
-        polish.
+        The floats are the positions, velocities, best positions and poses of particles, and the
+        Jacobian of a polish.
         """
         robots = len(setup.names)
         length = self.horizon_max
@@ -119,5 +119,5 @@ class PsoMpc(SearchFields):
         return self.model_copy(update={"time_limit": (self.steps_max + 1) * self.period})
 
     def bounds(self) -> dict[str, str]:
-        """Return the limits of steps, horizons and evaluations as strings, {name: text}."""
+        """Describe the limits of steps, horizons and evaluations for display, as {name: text}."""
         return {"control steps of a trial": f"at most {self.steps_max + 1}"} | super().bounds()

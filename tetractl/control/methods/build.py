@@ -9,45 +9,46 @@ from tetractl.spec.section_abilities import Modelled, Searches
 from tetractl.tools.cache import compiling
 from tetractl.tools.plugin_fault import plugins_named
 
-AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
+REMINDER_S = 10.0
+"""Time between two messages that code is still being compiled [s]."""
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     """Compile the functions that the spec's controller runs, or load them from the cache.
 
-    If anything is compiled, `announce` is called with a message before, every AGAIN_S seconds, and
-    at the end. Compiled code is cached on disk, for all specs with the same kinds of controller,
-    optimiser and motion. Python's garbage collection is off meanwhile, because the compiler creates
-    so many objects that searching them would take a fifth of its time.
+    If anything is compiled, `announce` is called with a message at the beginning, every REMINDER_S
+    seconds, and at the end. Compiled code is cached on disk, for all specs with the same kinds of
+    controller, optimiser and motion. Python's garbage collection is off meanwhile, because the
+    compiler creates so many objects that searching them would take a fifth of its time.
     """
     collects = gc.isenabled()
-    began_s = time.monotonic()
-    said_s = list[float]()
+    start_s = time.monotonic()
+    announced_s = list[float]()
 
-    def say() -> None:
+    def announce_compiling() -> None:
         now_s = time.monotonic()
-        if said_s and now_s - said_s[-1] < AGAIN_S:
+        if announced_s and now_s - announced_s[-1] < REMINDER_S:
             return
         duration = (
             "this takes about a minute, longer if the computer is busy; later runs "
             "reuse the compiled code"
         )
-        if said_s:
-            duration = f"{now_s - began_s:.0f} s so far"
+        if announced_s:
+            duration = f"{now_s - start_s:.0f} s so far"
         announce(f"compiling for {compiled_for(experiment)}: {duration} ...")
-        said_s.append(now_s)
+        announced_s.append(now_s)
 
-    compiling.append(say)
+    compiling.append(announce_compiling)
     gc.disable()
     try:
         with plugins_named(packages(experiment)):
             experiment.controller.warm_up(experiment.setup)
     finally:
-        compiling.remove(say)
+        compiling.remove(announce_compiling)
         if collects:
             gc.enable()
-    if said_s:
-        announce(f"compiled in {time.monotonic() - began_s:.0f} s")
+    if announced_s:
+        announce(f"compiled in {time.monotonic() - start_s:.0f} s")
 
 
 def compiled_for(experiment: Experiment) -> str:

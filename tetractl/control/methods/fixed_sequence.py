@@ -1,8 +1,4 @@
-"""Functions that several controllers share: records of searches, plans, and the best stop.
-
-They create search records from given signals, create plans from search records, and find the best
-moment to stop.
-"""
+"""Helpers that several controllers share: search records, plans, and the best moment to stop."""
 
 from collections.abc import Sequence
 
@@ -16,34 +12,36 @@ from tetractl.core.plan import Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 
 
-def given_search(problem: Problem, signals: Floats, foreseen: Prediction) -> Search:
-    """Create the record of a search whose result is a given sequence, as if one was evaluated.
+def given_search(problem: Problem, signals: Floats, prediction: Prediction) -> Search:
+    """Create a search record for a given sequence, as if a search had evaluated only this one.
 
     Args:
         problem: The problem of the control step.
         signals: The sequence [rad], shape (L,).
-        foreseen: The predicted path and costs of the sequence.
+        prediction: The predicted path and costs of the sequence.
     """
-    cost = foreseen.target + problem.obstacle_weight * foreseen.obstacle  # (7)
+    cost = prediction.target + problem.obstacle_weight * prediction.obstacle  # (7)
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 
-def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: Prediction) -> Plan:
+def make_plan(
+    searches: Sequence[Search], chosen: int, step_key: int, prediction: Prediction
+) -> Plan:
     """Create the plan of a control step from its searches.
 
     Args:
         searches: All searches of the step.
         chosen: Index of the chosen search.
         step_key: Key of all random numbers in the step.
-        foreseen: The prediction for the chosen search.
+        prediction: The prediction for the chosen search.
     """
     best = searches[chosen]
     return Plan(
         signals=best.signals,
-        path=foreseen.path,
+        path=prediction.path,
         cost=best.cost,
-        target_cost=foreseen.target,
-        obstacle_cost=foreseen.obstacle,
+        target_cost=prediction.target,
+        obstacle_cost=prediction.obstacle,
         searches=tuple(searches),
         chosen=chosen,
         generator=step_key,
@@ -58,12 +56,12 @@ def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
         signals: The sequence [rad], shape (L,).
         step_key: Key of all random numbers in the step.
     """
-    foreseen = predict_with_costs(problem, signals)
-    return make_plan([given_search(problem, signals, foreseen)], 0, step_key, foreseen)
+    prediction = predict_with_costs(problem, signals)
+    return make_plan([given_search(problem, signals, prediction)], 0, step_key, prediction)
 
 
-def least_error(problem: Problem, period_s: float) -> float:
-    """Compute a lower bound of the error if robots stop at any time in the coming period.
+def min_error(problem: Problem, period_s: float) -> float:
+    """Compute a lower bound of the total error after a stop in the coming period [length unit].
 
     The bound is the sum of distances that would remain if every robot drove straight to its target.
 
@@ -77,8 +75,8 @@ def least_error(problem: Problem, period_s: float) -> float:
     return float((problem.poses.distances(problem.targets) - period_s * speed).sum())
 
 
-def best_stop(
-    problem: Problem, direction: Floats, period_s: float, moments: int = 40
+def find_best_stop(
+    problem: Problem, directions: Floats, period_s: float, n_moments: int = 40
 ) -> tuple[int, float]:
     """Find the best moment in the coming control period to stop the robots.
 
@@ -86,20 +84,20 @@ def best_stop(
 
     Args:
         problem: The problem of the control step.
-        direction: Direction that each robot follows until the stop takes effect [rad], shape (N,).
+        directions: Direction that each robot follows until the stop takes effect [rad], shape (N,).
             NaN if a robot stands still.
         period_s: Duration of the control period [s].
-        moments: How many moments to compare.
+        n_moments: How many moments to compare.
 
     Returns:
         The time until that moment [ns], and the sum of distances to the targets after the stop.
     """
-    delays = np.arange(moments, dtype=np.float64) * (period_s / moments)
-    path = compiled_drive(problem, direction, delays)
+    delays_s = np.arange(n_moments, dtype=np.float64) * (period_s / n_moments)
+    path = compiled_drive(problem, directions, delays_s)
     targets = problem.targets
     errors = elementwise.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(
         axis=1
     )
-    best = int(np.argmin(errors))
-    delay_ns = round(float(delays[best]) * SECOND)
-    return delay_ns, float(errors[best])
+    best_index = int(np.argmin(errors))
+    delay_ns = round(float(delays_s[best_index]) * SECOND)
+    return delay_ns, float(errors[best_index])

@@ -19,43 +19,48 @@ from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.protocols import Optimizer
 
-GROWTH = 1.2  # ratio of successive lengths tried for a longer plan, under way
-SPREAD = 1.3  # ratio of successive lengths tried at rest
-TRIES = 4  # number of first plans that are shortened at rest
-CUT = 1 / 8  # share of a plan's length that is tried first to shorten it
-SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several robots
+DRIVING_GROWTH = 1.2
+"""Ratio of successive lengths that are tried for a longer plan while robots drive."""
+REST_GROWTH = 1.3
+"""Ratio of successive lengths that are tried while robots stand still."""
+REST_PLANS = 4
+"""Number of first plans that are shortened while robots stand still."""
+CUT_FRACTION = 1 / 8
+"""Fraction of a plan's length by which it is first shortened."""
+SIGNALS_PER_ROBOT = 6
+"""Minimum number of signals per robot in a plan for several robots."""
 
 
-def least_length(problem: Problem) -> int:
+def min_length(problem: Problem) -> int:
     """Compute the minimum length of plans to try [signals].
 
-    It has enough signals for each robot to drive straight to its target, and at least
+    Such a plan has enough signals for each robot to drive straight to its target, and at least
     SIGNALS_PER_ROBOT signals per robot if there are several. The result is 1 if a robot that is
     not at its target has speed 0.
     """
     gaps = problem.poses.distances(problem.targets).tolist()
-    pairs = zip(gaps, problem.speed.tolist(), strict=True)
-    seconds = [gap / speed if speed else math.inf for gap, speed in pairs if gap != 0]
+    gaps_and_speeds = zip(gaps, problem.speed.tolist(), strict=True)
+    seconds = [gap / speed if speed else math.inf for gap, speed in gaps_and_speeds if gap != 0]
     if not all(map(math.isfinite, seconds)):
         return 1
-    straight = 1 + max(
+    straight_length = 1 + max(
         0, math.ceil((max(seconds, default=0.0) - problem.first_period) / problem.period)
     )
-    return max(straight, SIGNALS_PER_ROBOT * len(gaps) if len(gaps) > 1 else 1)
+    return max(straight_length, SIGNALS_PER_ROBOT * len(gaps) if len(gaps) > 1 else 1)
 
 
-def longer(count: int, length_max: int) -> Iterator[int]:
+def longer_lengths(count: int, length_max: int) -> Iterator[int]:
     """Yield increasing lengths of plans above `count`, up to `length_max` [signals].
 
-    Each length is about GROWTH times the one before.
+    Each length is about DRIVING_GROWTH times the one before.
     """
     length = count + 1
     while length <= length_max:
         yield length
-        length = max(length + 1, round(GROWTH * length))
+        length = max(length + 1, round(DRIVING_GROWTH * length))
 
 
-def resampled(signals: Floats, length: int) -> Floats:
+def resample(signals: Floats, length: int) -> Floats:
     """Stretch or compress a sequence of directions (L,) [rad] in time to `length` directions.
 
     The results are from -pi to pi.
@@ -63,8 +68,8 @@ def resampled(signals: Floats, length: int) -> Floats:
     count = len(signals)
     times = (np.arange(length) + 0.5) * (count / length) - 0.5
     angles = np.unwrap(signals)
-    drawn = np.interp(times, np.arange(count), angles)
-    return wrap(drawn)
+    directions = np.interp(times, np.arange(count), angles)
+    return wrap(directions)
 
 
 class Searcher:
@@ -90,7 +95,7 @@ class Searcher:
         self.problem = problem
         self._key = step_key
         self._limits = limits
-        self.found: list[Search] = []
+        self.searches: list[Search] = []
 
     def search(self, length: int, start: Floats | None = None) -> Search | None:
         """Search sequences of one length, record the result in `found`, and return it.
@@ -101,10 +106,10 @@ class Searcher:
             length: The number of signals.
             start: A sequence to start from, shape (length,). None to start without one.
         """
-        tries = sum(search.length == length for search in self.found)
+        n_same_length = sum(search.length == length for search in self.searches)
         key = mix(self._key, length)
-        if tries:  # another search of the same length has other random numbers
-            key = mix(key, tries)
+        if n_same_length:  # another search of the same length has other random numbers
+            key = mix(key, n_same_length)
         return self._search(self.problem, length, start, key)
 
     def _search(
@@ -114,14 +119,16 @@ class Searcher:
 
         The result is None if the time limit has passed, unless this is the step's first search.
         """
-        if self.found and self._limits.expired(0):
+        if self.searches and self._limits.expired(0):
             return None
         search = self._optimizer.search(problem, length, start, key, self._limits)
-        self.found.append(search)
+        self.searches.append(search)
         return search
 
-    def spread(self, length_min: int, length_max: int, good: Callable[[Search], bool]) -> bool:
-        """Search increasing lengths until a plan is good, and shorten that plan.
+    def search_lengths(
+        self, length_min: int, length_max: int, is_good: Callable[[Search], bool]
+    ) -> bool:
+        """Search plans of increasing length until one is good, and shorten that plan.
 
         This is repeated several times, because plans that start from other random numbers reach
         other lengths.
@@ -129,79 +136,81 @@ class Searcher:
         Args:
             length_min: The shortest length that can be good.
             length_max: The longest length that can be good.
-            good: Decides whether a plan is good.
+            is_good: Decides whether a plan is good.
 
         Returns:
             Whether a good plan was found.
         """
-        reached = False
-        for _ in range(TRIES):
-            if self._grow(length_min, length_max, good):
-                length_max = self.shorten(length_min, good)
-                reached = True
-        return reached
+        is_reached = False
+        for _ in range(REST_PLANS):
+            if self._grow(length_min, length_max, is_good):
+                length_max = self.shorten(length_min, is_good)
+                is_reached = True
+        return is_reached
 
-    def _grow(self, length_min: int, length_max: int, good: Callable[[Search], bool]) -> bool:
-        """Search growing lengths until a plan is good, and return whether one is.
+    def _grow(self, length_min: int, length_max: int, is_good: Callable[[Search], bool]) -> bool:
+        """Search plans of increasing length, and return whether a good plan was found.
 
-        It stops without a good plan after `length_max`, or when the time limit has passed.
+        The search stops without a good plan after `length_max`, or when the time limit has passed.
         """
         # several robots hardly ever reach their targets along straight lines
-        several = self.problem.a.size > 1
-        length = min(round(SPREAD * length_min) if several else length_min, length_max)
+        has_several_robots = self.problem.a.size > 1
+        length = min(
+            round(REST_GROWTH * length_min) if has_several_robots else length_min, length_max
+        )
         while True:
             search = self.search(length)
             if search is None:
                 return False
-            if good(search):
+            if is_good(search):
                 return True
             if length == length_max:
                 return False
-            length = min(length_max, max(length + 1, round(SPREAD * length)))
+            length = min(length_max, max(length + 1, round(REST_GROWTH * length)))
 
-    def shorten(self, length_min: int, good: Callable[[Search], bool]) -> int:
-        """Make the last good plan shorter, as long as a search then finds a plan that is good.
+    def shorten(self, length_min: int, is_good: Callable[[Search], bool]) -> int:
+        """Shorten the last plan step by step, as long as a search finds a shorter good plan.
 
         Args:
-            length_min: The minimum length.
-            good: Decides whether a plan is good.
+            length_min: Minimum length of a plan [signals].
+            is_good: Decides whether a plan is good.
 
         Returns:
             The length of the shortest good plan.
         """
-        best = self.found[-1]
-        cut = max(1, round(CUT * best.length))
-        while cut > 0:
-            shorter = best.length - cut
+        best = self.searches[-1]
+        cut_signals = max(1, round(CUT_FRACTION * best.length))
+        while cut_signals > 0:
+            length = best.length - cut_signals
             search = None
-            if shorter >= length_min:
-                search = self.search(shorter, resampled(best.signals, shorter))
+            if length >= length_min:
+                search = self.search(length, resample(best.signals, length))
                 if search is None:
                     break
-            if search and good(search):
+            if search and is_good(search):
                 best = search
             else:
-                cut //= 2
+                cut_signals //= 2
         return best.length
 
-    def onward(
-        self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
+    def search_from_starts(
+        self, problem: Problem, starts: Iterable[Floats], is_good: Callable[[Search], bool]
     ) -> bool:
         """Search plans from given sequences, one after another, until a plan is good.
 
         Args:
             problem: The problem to search. Its robots are those of the searcher.
             starts: The sequences to start from.
-            good: Decides whether a plan is good.
+            is_good: Decides whether a plan is good.
 
         Returns:
             Whether these searches found the lowest cost of all searches.
         """
-        before = len(self.found)
+        n_before = len(self.searches)
         for start in starts:
             key = mix(self._key, len(start))
             search = self._search(problem, len(start), start, key)
-            if search is None or good(search):
+            if search is None or is_good(search):
                 break
-        costs = [search.cost for search in self.found]
-        return costs.index(min(costs)) >= before
+        costs = [search.cost for search in self.searches]
+        return costs.index(min(costs)) >= n_before

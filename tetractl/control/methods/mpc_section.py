@@ -27,7 +27,8 @@ from tetractl.spec.controller import ControllerSection, OptimizerSection
 from tetractl.spec.registry_fields import KindSection
 from tetractl.spec.yaml.problems import Loc
 
-SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
+SIGNAL_S = 0.2
+"""Time for which a plan holds each signal [s]: the paper's control period."""
 _MULTISTART = KindSection(OPTIMIZERS, OptimizerSection, default="multistart")
 
 
@@ -252,8 +253,8 @@ class RecommendedMpc(SearchFields):
     def patience_s(self, setup: Setup) -> float:
         """Return the time in which the price of a new attempt doubles [s].
 
-        It is PATIENCE_S. For cells that rest, it is at most half the time limit, because they may
-        make attempts until the time is over.
+        The time is PATIENCE_S. For cells that rest, it is at most half the time limit, because they
+        may make attempts until the time is over.
         """
         from tetractl.control.methods.value import (
             PATIENCE_S,  # late: reading a spec needs no controller
@@ -276,9 +277,9 @@ class RecommendedMpc(SearchFields):
         if self.estimate:
             pose_filter.warm_up(self.known(setup), setup.starts)
         problem = self.problem(setup)
-        none = np.zeros(1)
-        path = compiled_drive(problem, np.zeros(len(problem.a)), none)
-        compiled_branch_paths(problem, path, none, none, 0.0)
+        zero = np.zeros(1)
+        path = compiled_drive(problem, np.zeros(len(problem.a)), zero)
+        compiled_branch_paths(problem, path, zero, zero, 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load
             next(find_sequences(problem, setup.arena, 0, 0), None)
         Discs(self.collision.radius, setup.obstacles, setup.arena).collide(path)

@@ -5,7 +5,7 @@ Hardly any random sequence of directions leads many robots to targets far apart,
 through a gap. `find_sequences` finds sequences that do, as starts for an optimiser.
 
 It grows a `Tree`. A *node* is where all robots are after some signals. A *branch* grows from it
-with one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
+with one direction, held for BRANCH_S, and its end may be a node of the next *level*. For each level
 
     _grid_distances
                     computes how far each robot still has to go to its target, around obstacles
@@ -17,8 +17,8 @@ The signals to nodes where all robots are near their targets are yielded, and fi
 nearest node. Nothing depends on a clock: the number of nodes limits the time.
 
 Such a plan is long, and small errors of the model at its beginning become large at its end. Robots
-that follow it therefore search only the next AHEAD signals again. Their targets are then the
-positions to which the plan leads.
+that follow it therefore search only the next SIGNALS_AHEAD signals again. Their targets are then
+the positions to which the plan leads.
 
 Shapes: N robots, T moments along a branch, B branches of a level, C cells of the arena, O obstacles
 and walls. Lengths are in the spec's length unit.
@@ -40,11 +40,11 @@ from tetractl.core.setup import Bounds
 
 BRANCHES = 16
 """Number of directions tried at each node, spread evenly around the circle."""
-PARTS = 2
-"""Number of moments during each signal at which the distances between bodies are tested."""
+MOMENTS_PER_SIGNAL = 2
+"""Number of moments during each signal at which the clearance of bodies is tested."""
 CELLS_ACROSS = 90
 """Number of square cells along the longer side of the arena, for paths around obstacles."""
-HELD_S = 0.4
+BRANCH_S = 0.4
 """Time for which the direction of a branch is held [s]."""
 NODES_KEPT = 400
 """Number of nodes kept in each level, multiplied by the number of robots."""
@@ -62,16 +62,17 @@ STARTS_OF_LEVEL = 6
 """Maximum number of nodes of one level whose sequences are yielded as starts for the optimiser."""
 STARTS_IN_ALL = 100
 """Number of yielded sequences after which the search of the tree ends."""
-AHEAD = 20
+SIGNALS_AHEAD = 20
 """Number of signals of a long plan that are searched again in each step."""
 MISS_MAX = 4.0
 """Maximum distance by which robots may miss a long plan, in units of `accept_error`.
 
-It is measured after the next AHEAD signals. If it is larger, the robots pause for a new plan.
+The miss is measured after the next SIGNALS_AHEAD signals. If it is larger, the robots pause for a
+new plan.
 """
-MISS_OF_WAY = 0.05
-"""Fraction of the remaining distance that is added to this maximum."""
-TRUSTED_S = 1.0
+MISS_FRACTION = 0.05
+"""Fraction of the remaining distance that is added to the maximum miss."""
+FOLLOWED_MIN_S = 1.0
 """Minimum time for which a long plan is followed before robots pause for a new one [s]."""
 
 
@@ -88,7 +89,7 @@ class Nodes(NamedTuple):
     poses: Floats
     """The poses of all robots at each node, shape (K, N, 3): x, y [length unit], heading [rad]."""
 
-    def part(self, chosen: Integers) -> Self:
+    def select(self, chosen: Integers) -> Self:
         """Return the nodes with the given indices, in that order."""
         return self._make(column[chosen] for column in self)
 
@@ -105,36 +106,37 @@ class Tree:
         held: Number of signals for which a branch is held.
     """
 
-    def __init__(self, problem: Problem, key: int, held: int) -> None:
+    def __init__(self, problem: Problem, key: int, held_signals: int) -> None:
         self.levels: list[Nodes] = []
         self._problem = problem
         self._key = key
-        self._held = held
-        root = problem.poses.array()[None]
-        self._grown = Nodes(np.zeros(1, dtype=np.int64), np.zeros(1), root)
-        """What may become the nodes of the next level: the root, or the branches grown last."""
+        self._held_signals = held_signals
+        root_poses = problem.poses.array()[None]
+        self._candidates = Nodes(np.zeros(1, dtype=np.int64), np.zeros(1), root_poses)
+        """Nodes that may form the next level: the root, or the ends of the branches grown last."""
 
     def grow(self) -> Floats:
         """Grow BRANCHES branches from each node of the last level.
 
         Returns:
-            The poses along all branches, shape (PARTS held, B, N, 3).
+            The poses along all branches, shape (T, B, N, 3), with T = MOMENTS_PER_SIGNAL
+            held_signals.
         """
-        first = uniform(self._key, len(self.levels), 1)
-        all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
-        nodes = self.levels[-1] if self.levels else self._grown
+        phase = uniform(self._key, len(self.levels), 1)
+        around = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + phase))
+        nodes = self.levels[-1] if self.levels else self._candidates
         parents = np.arange(len(nodes.poses)).repeat(BRANCHES)
-        directions = np.tile(all_round, len(nodes.poses))
-        turns = np.zeros(PARTS * self._held)
-        part = self._problem.period / PARTS
+        directions = np.tile(around, len(nodes.poses))
+        no_turns = np.zeros(MOMENTS_PER_SIGNAL * self._held_signals)
+        moment_s = self._problem.period / MOMENTS_PER_SIGNAL
         starts = nodes.poses[parents]
-        path = compiled_branch_paths(self._problem, starts, directions, turns, part)[1:]
-        self._grown = Nodes(parents, directions, path[-1])
+        path = compiled_branch_paths(self._problem, starts, directions, no_turns, moment_s)[1:]
+        self._candidates = Nodes(parents, directions, path[-1])
         return path
 
-    def keep(self, branches: Integers) -> None:
-        """Add a level to the tree, whose nodes are the ends of the branches with these indices."""
-        self.levels.append(self._grown.part(branches))
+    def add_level(self, branches: Integers) -> None:
+        """Add a level whose nodes are the ends of the grown branches with the given indices."""
+        self.levels.append(self._candidates.select(branches))
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
         """Return the signals (L,) [rad] that lead from the root to a node.
@@ -147,40 +149,42 @@ class Tree:
         for level in reversed(self.levels[:levels]):
             directions.append(level.directions[node])
             node = int(level.parents[node])
-        return np.repeat(directions[::-1], self._held)
+        return np.repeat(directions[::-1], self._held_signals)
 
 
-class Squares:
-    """The square cells of an arena, numbered row by row."""
+class CellGrid:
+    """A grid of square cells that covers the arena, numbered row by row."""
 
     def __init__(self, arena: Bounds) -> None:
-        self.side = max(arena.width, arena.height) / CELLS_ACROSS
-        self._low = np.array([arena.left, arena.bottom], dtype=np.float64)
-        columns = max(1, round(arena.width / self.side))
-        rows = max(1, round(arena.height / self.side))
+        self.cell_side = max(arena.width, arena.height) / CELLS_ACROSS
+        self._corner = np.array([arena.left, arena.bottom], dtype=np.float64)
+        columns = max(1, round(arena.width / self.cell_side))
+        rows = max(1, round(arena.height / self.cell_side))
         self.shape = rows, columns
         columns_and_rows = np.indices(self.shape)[::-1].reshape(2, -1).T  # (C, 2)
-        self.centres: Floats = self._low + (columns_and_rows + 0.5) * self.side
+        self.centres: Floats = self._corner + (columns_and_rows + 0.5) * self.cell_side
         """The centres of the C cells [length unit], shape (C, 2)."""
 
-    def cells(self, xy: Floats) -> Integers:
+    def cell_indices(self, points: Floats) -> Integers:
         """Return the index of the cell that contains each point.
 
-        For a point outside the arena, it is the nearest cell. The points have the shape (..., 2),
-        the indices (...).
+        The cell of a point outside the arena is the nearest one. The points have shape (..., 2),
+        and the indices have shape (...).
         """
         rows, columns = self.shape
-        last = np.array([columns - 1, rows - 1])
-        column_and_row = np.clip(((xy - self._low) / self.side).astype(np.int64), 0, last)
+        last_cell = np.array([columns - 1, rows - 1])
+        column_and_row = np.clip(
+            ((points - self._corner) / self.cell_side).astype(np.int64), 0, last_cell
+        )
         return column_and_row[..., 1] * columns + column_and_row[..., 0]
 
-    def ways(self, free: Bools, targets: Floats) -> Floats:
+    def path_lengths(self, is_free: Bools, targets: Floats) -> Floats:
         """Compute the lengths of the shortest paths from each cell to each target, shape (N C,).
 
         Paths lead through free cells, from a cell to one of its eight neighbours.
 
         Args:
-            free: Whether each cell is free, shape (C,).
+            is_free: Whether each cell is free, shape (C,).
             targets: The targets, shape (N, 2).
 
         Returns:
@@ -189,8 +193,8 @@ class Squares:
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import dijkstra  # slow to import, and seldom needed
 
-        free[self.cells(targets)] = True
-        numbers = np.arange(len(free)).reshape(self.shape)
+        is_free[self.cell_indices(targets)] = True
+        numbers = np.arange(len(is_free)).reshape(self.shape)
         neighbours = (
             (numbers[:, 1:], numbers[:, :-1]),  # in a row
             (numbers[1:], numbers[:-1]),  # in a column
@@ -199,13 +203,13 @@ class Squares:
         )
         starts = np.concatenate([cells.ravel() for cells, _ in neighbours])
         ends = np.concatenate([cells.ravel() for _, cells in neighbours])
-        passable = free[starts] & free[ends]
+        passable = is_free[starts] & is_free[ends]
         starts = starts[passable]
         ends = ends[passable]
         length = elementwise.hypot(*(self.centres[starts] - self.centres[ends]).T)
-        cells = len(free)
-        graph = coo_array((length, (starts, ends)), shape=(cells, cells)).tocsr()
-        return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
+        n_cells = len(is_free)
+        graph = coo_array((length, (starts, ends)), shape=(n_cells, n_cells)).tocsr()
+        return dijkstra(graph, directed=False, indices=self.cell_indices(targets)).ravel()
 
 
 def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -> Iterator[Floats]:
@@ -220,39 +224,41 @@ def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -
     Yields:
         Up to STARTS_IN_ALL sequences [rad], and finally the one that leads nearest to the targets.
     """
-    count = len(problem.a)
-    held = max(1, round(HELD_S / problem.period))
-    nodes_max = max(1, NODES_KEPT // count)
-    near = DISTANCE_LEFT * float((problem.speed / problem.a).sum())
-    grid = Squares(arena)
+    n_robots = len(problem.a)
+    held_signals = max(1, round(BRANCH_S / problem.period))
+    nodes_max = max(1, NODES_KEPT // n_robots)
+    near_sum = DISTANCE_LEFT * float((problem.speed / problem.a).sum())
+    grid = CellGrid(arena)
     grid_distances = _grid_distances(problem, grid)
-    first_cells = np.arange(count) * len(grid.centres)  # of each robot in these
-    tree = Tree(problem, key, held)
-    yielded = 0
-    least_left = np.inf
+    cell_offsets = np.arange(n_robots) * len(grid.centres)  # of each robot in these
+    tree = Tree(problem, key, held_signals)
+    n_yielded = 0
+    sum_min = np.inf
     nearest_level = 0
-    for level in range(length_max // held):
+    for level in range(length_max // held_signals):
         path = tree.grow()
-        distances_left = grid_distances[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
+        distances_left = grid_distances[
+            grid.cell_indices(path[..., :2]) + cell_offsets
+        ]  # (T, B, N)
         branches = _best_branches(problem, path, distances_left, nodes_max)
         if len(branches) == 0:
             break
-        tree.keep(branches)
+        tree.add_level(branches)
         sums_left = distances_left[-1, branches].sum(axis=1)  # over the robots, at each node
-        if sums_left[0] < least_left:
-            least_left = float(sums_left[0])
+        if sums_left[0] < sum_min:
+            sum_min = float(sums_left[0])
             nearest_level = level
-        number_near = int((sums_left[:STARTS_OF_LEVEL] < near).sum())
-        for node in range(min(number_near, STARTS_IN_ALL - yielded)):
+        n_near = int((sums_left[:STARTS_OF_LEVEL] < near_sum).sum())
+        for node in range(min(n_near, STARTS_IN_ALL - n_yielded)):
             yield tree.sequence(node)
-            yielded += 1
-        if yielded == STARTS_IN_ALL:
+            n_yielded += 1
+        if n_yielded == STARTS_IN_ALL:
             return
-    if tree.levels and yielded == 0:
+    if tree.levels and n_yielded == 0:
         yield tree.sequence(0, nearest_level + 1)
 
 
-def _grid_distances(problem: Problem, grid: Squares) -> Floats:
+def _grid_distances(problem: Problem, grid: CellGrid) -> Floats:
     """Compute the shortest path of each robot from each cell to its target, shape (N C,).
 
     The result is a length, inf if obstacles block all paths. A cell is passable if its centre is
@@ -260,10 +266,11 @@ def _grid_distances(problem: Problem, grid: Squares) -> Floats:
     """
     x = grid.centres[:, 0].copy()
     y = grid.centres[:, 1].copy()
-    free = (
-        distances_to_obstacles(problem.obstacles, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
+    is_free = (
+        distances_to_obstacles(problem.obstacles, x, y).min(axis=0, initial=np.inf)
+        > -grid.cell_side / 2
     )
-    return grid.ways(free, problem.targets)
+    return grid.path_lengths(is_free, problem.targets)
 
 
 def _best_branches(
@@ -281,28 +288,36 @@ def _best_branches(
     """
     squares = np.square(distances_left[-1]).sum(axis=1)
     order = np.argsort(squares, kind="stable")
-    reaches = np.isfinite(distances_left.sum(axis=(0, 2)))  # no robot is cut off from its target
-    best = order[reaches[order]][: NODES_COMPUTED * nodes_max]
-    clear = _keep_clear(problem, path[:, best, :, :2])
-    return best[clear][:nodes_max]
+    are_connected = np.isfinite(
+        distances_left.sum(axis=(0, 2))
+    )  # no robot is cut off from its target
+    best = order[are_connected[order]][: NODES_COMPUTED * nodes_max]
+    are_clear = _find_clear(problem, path[:, best, :, :2])
+    return best[are_clear][:nodes_max]
 
 
-def _keep_clear(problem: Problem, xy: Floats) -> Bools:
+def _find_clear(problem: Problem, positions: Floats) -> Bools:
     """Check for each branch whether robots keep their distance from each other and obstacles.
 
-    `xy` contains the positions along the branches, shape (T, B, N, 2). The result has shape (B,).
+    `positions` contains the positions along the branches, shape (T, B, N, 2). The result has shape
+    (B,).
     """
-    x = xy[..., 0].copy()
-    y = xy[..., 1].copy()
-    i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
-    between = elementwise.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
-    apart = (between > problem.separation).all(axis=-1)  # (T, B)
+    x = positions[..., 0].copy()
+    y = positions[..., 1].copy()
+    i, k = np.triu_indices(positions.shape[2], 1)  # the pairs of robots
+    pair_distances = elementwise.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
+    are_apart = (pair_distances > problem.separation).all(axis=-1)  # (T, B)
     to_obstacles = distances_to_obstacles(problem.obstacles, x.ravel(), y.ravel())
-    outside = (to_obstacles > 0).all(axis=0)
-    outside_all = outside.reshape(x.shape).all(axis=-1)
-    return np.asarray((apart & outside_all).all(axis=0))
+    are_outside = (to_obstacles > 0).all(axis=0)
+    all_outside = are_outside.reshape(x.shape).all(axis=-1)
+    return np.asarray((are_apart & all_outside).all(axis=0))
 
 
 def with_targets_ahead(problem: Problem, path: Floats) -> Problem:
-    """Return a problem whose targets are the positions after AHEAD signals of a path (M, N, 3)."""
-    return replace(problem, targets=np.ascontiguousarray(path[AHEAD, :, :2]))
+    """Return the problem with a path's positions after SIGNALS_AHEAD signals as its targets.
+
+    Args:
+        problem: The problem of the control step.
+        path: Poses along the path, shape (M, N, 3).
+    """
+    return replace(problem, targets=np.ascontiguousarray(path[SIGNALS_AHEAD, :, :2]))

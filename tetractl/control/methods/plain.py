@@ -51,9 +51,8 @@ class PlainSection(ControllerSection):
 class PlainController:
     """Base class of a controller that does not search for plans, in one trial.
 
-    Derive from it and implement `decided`.
-
-    It counts the control steps, k, and estimates the robots' poses.
+    The class counts the control steps, k, and estimates the robots' poses. Derive from it, and
+    implement `decided`.
 
     Args:
         section: The fields of the controller in the spec.
@@ -64,7 +63,7 @@ class PlainController:
     def __init__(self, section: PlainSection, setup: Setup, key: int) -> None:
         self.key = key
         self.k = 0
-        self._ends = section
+        self._section = section
         self.problem = section.problem(setup)
         self._known = section.known(setup)
         self._time = TrialTime(section.time_limit, section.period)
@@ -72,7 +71,7 @@ class PlainController:
     @cached_property
     def estimator(self) -> StateEstimator:
         """The predictor of the robots' poses at the moment when the next direction acts."""
-        return StateEstimator(self.problem, self._ends.period, self._known)
+        return StateEstimator(self.problem, self._section.period, self._known)
 
     def plan(
         self,
@@ -96,9 +95,9 @@ class PlainController:
         """
         self._time.add_step(observation, last_command)
         problem = self.predicted(observation, last_command)
-        if self._ends.arrived(problem.poses.distances(problem.targets)):
+        if self._section.arrived(problem.poses.distances(problem.targets)):
             return Outcome.ARRIVED
-        if self._time.over:
+        if self._time.is_over:
             return Outcome.TIME_LIMIT
         return problem
 

@@ -58,7 +58,7 @@ class SequenceController(PlainController):
         section = self.section
         if self.k == len(section.directions):
             delay_ns = round(section.remainder * SECOND)
-            done = Outcome.SEQUENCE_COMPLETED
-            return End(done, delay_ns) if delay_ns else done
+            outcome = Outcome.SEQUENCE_COMPLETED
+            return End(outcome, delay_ns) if delay_ns else outcome
         signals = np.array(section.directions[self.k : self.k + section.ahead])
         return given_plan(problem, signals, step_key)

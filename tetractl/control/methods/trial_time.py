@@ -8,7 +8,7 @@ from tetractl.core.poses import Observation
 
 
 class TrialTime:
-    """Counts the time of one trial from its first command, up to `limit_s`.
+    """A clock that counts the time of one trial from its first command, up to `limit_s`.
 
     A step begins one control period `period_s` after the last command, or later, after a turn or a
     pause. Its frame is somewhat older, or much older if frames are lost. A time that is at most
@@ -20,8 +20,8 @@ class TrialTime:
     def __init__(self, limit_s: float, period_s: float) -> None:
         self._limit_ns = math.inf if math.isinf(limit_s) else round(limit_s * SECOND)
         self._period_ns = round(period_s * SECOND)
-        self._began_ns: int | None = None
-        self._passed_ns = 0
+        self._start_ns: int | None = None
+        self._elapsed_ns = 0
 
     def add_step(self, observation: Observation, last_command: Command | None) -> None:
         """Update the time with a step's frame and the command of the previous step.
@@ -30,15 +30,15 @@ class TrialTime:
         """
         now_ns = observation.sampled_ns
         if last_command is not None:
-            self._began_ns = last_command.sent_ns if self._began_ns is None else self._began_ns
+            self._start_ns = last_command.sent_ns if self._start_ns is None else self._start_ns
             now_ns = max(now_ns, last_command.sent_ns + self._period_ns)
-        if self._began_ns is not None:
-            self._passed_ns = now_ns - self._began_ns
+        if self._start_ns is not None:
+            self._elapsed_ns = now_ns - self._start_ns
 
     @property
-    def passed_s(self) -> float:
+    def elapsed_s(self) -> float:
         """The time that has passed since the first command of the trial [s]."""
-        return self._passed_ns / SECOND
+        return self._elapsed_ns / SECOND
 
     @property
     def periods_left(self) -> float:
@@ -46,10 +46,10 @@ class TrialTime:
 
         Its integer part is the number of steps until the limit.
         """
-        left_ns = self._limit_ns - self._passed_ns + self._period_ns // 2
+        left_ns = self._limit_ns - self._elapsed_ns + self._period_ns // 2
         return left_ns / self._period_ns
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether the time limit is reached: less than half a control period is left."""
         return self.periods_left < 1.0

@@ -30,34 +30,34 @@ docs/decisions/controller.md compares it with other values.
 
 @dataclass(frozen=True, slots=True)
 class CandidateValues:
-    """Computes the value of each candidate of a control step; the controller takes the lowest.
+    """Computes the value of each candidate plan in a control step; the lowest value wins.
 
     Attributes:
-        accept: The spec's `accept_error` [length unit].
-        spent_s: Time since the leg began [s].
+        accept_error: The spec's `accept_error` [length unit].
+        leg_time_s: Time since the leg began [s].
         period_s: Duration of each signal [s].
         patience_s: Time in which `attempt` doubles [s].
-        price: Price of a second, in units of `accept`.
-        touch: Penalty if a path touches a margin, in units of `accept`.
+        time_price: Price of a second, in units of `accept_error`.
+        touch_penalty: Penalty if a path touches a margin, in units of `accept_error`.
     """
 
-    accept: float
-    spent_s: float
+    accept_error: float
+    leg_time_s: float
     period_s: float
     patience_s: float = PATIENCE_S
-    price: ClassVar[float] = 0.02  # of a second, in units of `accept`
-    touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
+    time_price: ClassVar[float] = 0.02
+    touch_penalty: ClassVar[float] = 2.0
 
-    def plan(self, error: float, length: int, new: bool, touches: bool = False) -> float:
+    def plan_value(self, error: float, length: int, is_new: bool, touches: bool = False) -> float:
         """Compute the value of a plan, from its predicted error, its duration and its risks.
 
         Args:
-            error: Total error at its end [length unit].
-            length: Number of its signals.
-            new: Whether it is a new attempt, not the plan under way.
-            touches: Whether its path touches a margin.
+            error: Total error at the end of the plan [length unit].
+            length: Number of signals of the plan.
+            is_new: Whether the plan is a new attempt instead of the plan under way.
+            touches: Whether the plan's path touches a margin.
         """
-        attempt = exp(LN_2 * self.spent_s / self.patience_s) if new else 0.0
-        price = self.price * self.period_s * length
-        caution = self.touch if touches else 0.0
-        return error + self.accept * (attempt + price + caution)
+        attempt = exp(LN_2 * self.leg_time_s / self.patience_s) if is_new else 0.0
+        time_price = self.time_price * self.period_s * length
+        caution = self.touch_penalty if touches else 0.0
+        return error + self.accept_error * (attempt + time_price + caution)

@@ -104,7 +104,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     for j, u in enumerate(directions):
         seconds = problem.first_period if j == 0 else problem.period
         heading = path[j, ..., 2]
-        rates = turning_rates(heading, u, parameters, seconds) if needs_rates else problem.a
+        rates = _turning_rates(heading, u, parameters, seconds) if needs_rates else problem.a
         next_pose = motion.step(x[j], y[j], heading, u, rates, problem.speed, seconds)
         path[j + 1] = np.stack(next_pose, axis=-1)
     if problem.flow is not None:
@@ -115,7 +115,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     return path
 
 
-def turning_rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
+def _turning_rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
     """Compute each robot's turning rate a during one signal, shape (..., N) [rad/s].
 
     The motion's function `turning` computes it, from the robot's `side` and saturation.

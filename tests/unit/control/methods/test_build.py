@@ -52,7 +52,7 @@ def test_warming_up_leaves_nothing_to_compile(name):
 
 @pytest.mark.parametrize("again_s", [0.0, 3600.0])
 def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes(monkeypatch, again_s):
-    monkeypatch.setattr(build, "AGAIN_S", again_s)
+    monkeypatch.setattr(build, "REMINDER_S", again_s)
     monkeypatch.setattr(build, "time", SimpleNamespace(monotonic=lambda: 7.0))
     spec = parse_spec(QUICK, "spec").experiment
     said = []

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit import problems
 
-from tetractl.control.methods.fixed_sequence import best_stop, given_plan, least_error, make_plan
+from tetractl.control.methods.fixed_sequence import find_best_stop, given_plan, make_plan, min_error
 from tetractl.control.search.cost import evaluate, predict, predict_with_costs
 from tetractl.core.clock import SECOND
 from tetractl.core.obstacles import Obstacles
@@ -52,7 +52,7 @@ def test_the_chosen_search_is_the_plan():
 @given(SEEDS, st.floats(0.05, 0.5), st.booleans())
 def test_robots_never_come_nearer_than_the_bound(seed, period_s, drifts):
     problem = problems.problem(problems.world(seed, 2, 0, "exact"), drifts=drifts)
-    bound = least_error(problem, period_s)
+    bound = min_error(problem, period_s)
     rng = np.random.default_rng(seed)
     for share in (0.3, 1.0):
         seconds = share * period_s
@@ -65,10 +65,10 @@ def test_robots_never_come_nearer_than_the_bound(seed, period_s, drifts):
 def test_the_bound_is_reached_by_robots_that_drive_straight_with_the_flow():
     problem = problems.problem(problems.world(1, 2, 0))
     gaps = problem.poses.distances(problem.targets)
-    still = least_error(problem, 0.1)
+    still = min_error(problem, 0.1)
     assert still == pytest.approx((gaps - 0.1 * problem.speed).sum())
     flow = np.array([[3.0, 4.0], [0.0, -2.0]])
-    carried = least_error(replace(problem, flow=flow), 0.1)
+    carried = min_error(replace(problem, flow=flow), 0.1)
     assert carried == pytest.approx(still - 0.1 * (5 + 2))
 
 
@@ -89,15 +89,15 @@ def passing(offset_s, robots=1):
 )
 def test_robots_stop_where_they_are_nearest(offset_s, stop_s):
     """Of 40 moments of a period of 0.2 s, whose end is not one."""
-    delay_ns, error = best_stop(passing(offset_s), np.zeros(1), 0.2)
+    delay_ns, error = find_best_stop(passing(offset_s), np.zeros(1), 0.2)
     assert delay_ns == pytest.approx(stop_s * SECOND, abs=2)
     assert error == pytest.approx(np.hypot(100 * (offset_s - stop_s), 3.0))
 
 
 def test_the_error_is_the_sum_of_all_robots_and_one_may_stand():
     problem = passing(0.05, robots=2)
-    delay_ns, error = best_stop(problem, np.array([0.0, np.nan]), 0.2)
+    delay_ns, error = find_best_stop(problem, np.array([0.0, np.nan]), 0.2)
     assert delay_ns == round(0.05 * SECOND)
     assert error == pytest.approx(3.0 + np.hypot(5.0, 3.0))
-    delay_ns, _ = best_stop(problem, np.zeros(2), 0.2, moments=3)
+    delay_ns, _ = find_best_stop(problem, np.zeros(2), 0.2, n_moments=3)
     assert delay_ns == round(0.2 / 3 * SECOND)

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from testkit import problems
 
 from tetractl.control.methods.lengths import (
+    REST_GROWTH,
+    REST_PLANS,
     SIGNALS_PER_ROBOT,
-    SPREAD,
-    TRIES,
     Searcher,
-    least_length,
-    longer,
-    resampled,
+    longer_lengths,
+    min_length,
+    resample,
 )
 from tetractl.core.plan import Limits, Search, StopReason
 
@@ -46,7 +46,7 @@ def problem(gaps, speed=100.0, period=0.5, first_period=0.25):
 
 @given(st.floats(0, 2000), st.sampled_from([0.1, 0.5]), st.sampled_from([0.05, 0.5]))
 def test_the_least_length_is_the_first_that_lasts_for_the_straight_way(gap, period, first_period):
-    length = least_length(problem([gap], period=period, first_period=first_period))
+    length = min_length(problem([gap], period=period, first_period=first_period))
     needed_s = gap / 100.0
 
     def lasts_s(signals):
@@ -58,28 +58,28 @@ def test_the_least_length_is_the_first_that_lasts_for_the_straight_way(gap, peri
 
 
 def test_several_robots_need_signals_for_each_and_the_farthest_counts():
-    assert least_length(problem([10.0, 10.0])) == 2 * SIGNALS_PER_ROBOT
-    assert least_length(problem([10.0, 5000.0])) == least_length(problem([5000.0]))
-    assert least_length(problem([0.0])) == 1
-    assert least_length(problem([300.0], speed=0.0)) == 1  # it never arrives
-    assert least_length(problem([0.0], speed=0.0)) == 1
+    assert min_length(problem([10.0, 10.0])) == 2 * SIGNALS_PER_ROBOT
+    assert min_length(problem([10.0, 5000.0])) == min_length(problem([5000.0]))
+    assert min_length(problem([0.0])) == 1
+    assert min_length(problem([300.0], speed=0.0)) == 1  # it never arrives
+    assert min_length(problem([0.0], speed=0.0)) == 1
 
 
 @given(st.lists(st.floats(-1.5, 1.5), min_size=1, max_size=12))
 def test_signals_of_the_same_length_stay_as_they_are(signals):
-    assert resampled(np.array(signals), len(signals)) == pytest.approx(np.array(signals))
+    assert resample(np.array(signals), len(signals)) == pytest.approx(np.array(signals))
 
 
 def test_signals_are_resampled_at_the_middles_of_their_times():
-    assert resampled(np.array([0.0, 1.0]), 4) == pytest.approx([0.0, 0.25, 0.75, 1.0])
-    assert resampled(np.array([0.0, 1.0, 2.0, 3.0]), 2) == pytest.approx([0.5, 2.5])
-    across = resampled(np.array([math.pi - 0.1, 0.1 - math.pi]), 4)  # by way of a half turn
+    assert resample(np.array([0.0, 1.0]), 4) == pytest.approx([0.0, 0.25, 0.75, 1.0])
+    assert resample(np.array([0.0, 1.0, 2.0, 3.0]), 2) == pytest.approx([0.5, 2.5])
+    across = resample(np.array([math.pi - 0.1, 0.1 - math.pi]), 4)  # by way of a half turn
     assert np.cos(across - math.pi) == pytest.approx(np.cos([0.1, 0.05, 0.05, 0.1]))
 
 
 @given(st.integers(1, 30), st.integers(0, 60))
 def test_longer_plans_grow_and_end_at_the_longest(count, more):
-    lengths = list(longer(count, count + more))
+    lengths = list(longer_lengths(count, count + more))
     assert lengths == sorted(set(lengths))
     assert all(count < length <= count + more for length in lengths)
     assert (lengths[:1] == [count + 1]) == (more > 0)
@@ -98,8 +98,8 @@ def good(search):
 @pytest.mark.parametrize("shortest", [4, 9, 16, 20])
 def test_the_shortest_good_plan_is_found(shortest):
     found, optimizer = searcher(lambda length: 0.0 if length >= shortest else 2.0)
-    assert found.spread(4, 20, good)
-    assert min(search.length for search in found.found if good(search)) == shortest
+    assert found.search_lengths(4, 20, good)
+    assert min(search.length for search in found.searches if good(search)) == shortest
     assert all(4 <= length <= 20 for length, _, _ in optimizer.asked)
     keys = [key for _, _, key in optimizer.asked]
     assert len(set(keys)) == len(keys)  # each search has random numbers of its own
@@ -107,16 +107,16 @@ def test_the_shortest_good_plan_is_found(shortest):
 
 def test_without_a_good_plan_the_longest_is_tried_and_nothing_is_shortened():
     found, optimizer = searcher(lambda _: 2.0)
-    assert not found.spread(5, 20, good)
+    assert not found.search_lengths(5, 20, good)
     lengths = [length for length, _, _ in optimizer.asked]
-    assert lengths.count(20) == TRIES
-    assert lengths[0] == round(SPREAD * 5)  # there are several robots
+    assert lengths.count(20) == REST_PLANS
+    assert lengths[0] == round(REST_GROWTH * 5)  # there are several robots
     assert all(start is None for _, start, _ in optimizer.asked)
 
 
 def test_lengths_grow_by_their_ratio_and_a_good_plan_is_cut_by_an_eighth_first():
     found, optimizer = searcher(lambda length: 0.0 if length >= 40 else 2.0)
-    found.spread(10, 64, good)
+    found.search_lengths(10, 64, good)
     lengths = [length for length, _, _ in optimizer.asked]
     grown = [13, 17, 22, 29, 38, 49]  # each 1.3 times the one before, rounded
     assert lengths[:6] == grown
@@ -128,8 +128,8 @@ def test_once_the_time_is_over_only_the_first_search_is_done():
     found, optimizer = searcher(lambda _: 2.0, expired=lambda _: True)
     assert found.search(5) is not None
     assert found.search(6) is None
-    assert not found.spread(5, 20, good)
-    assert not found.onward(found.problem, [np.zeros(3)], good)
+    assert not found.search_lengths(5, 20, good)
+    assert not found.search_from_starts(found.problem, [np.zeros(3)], good)
     assert [length for length, _, _ in optimizer.asked] == [5]
 
 
@@ -138,8 +138,8 @@ def test_plans_under_way_are_searched_until_one_is_good():
     found, optimizer = searcher(lambda length: costs.get(length, 9.0))
     found.search(8)
     starts = [np.zeros(length) for length in (3, 4, 5)]
-    assert found.onward(found.problem, starts, good)
+    assert found.search_from_starts(found.problem, starts, good)
     assert [length for length, _, _ in optimizer.asked] == [8, 3, 4]
     worse, _ = searcher(lambda length: 0.2 if length == 8 else 0.3)
     worse.search(8)
-    assert not worse.onward(worse.problem, starts, good)  # the first one stays the best
+    assert not worse.search_from_starts(worse.problem, starts, good)  # the first one stays the best

@@ -15,8 +15,13 @@ from testkit.trials import THREE_M3PI, experiment
 
 from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.methods.fixed_sequence import given_plan
-from tetractl.control.methods.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES
-from tetractl.control.methods.mpc import SEARCH_S, SLACK
+from tetractl.control.methods.lengths import (
+    CUT_FRACTION,
+    REST_GROWTH,
+    REST_PLANS,
+    SIGNALS_PER_ROBOT,
+)
+from tetractl.control.methods.mpc import LENGTH_SLACK, SEARCH_S
 from tetractl.control.methods.value import CandidateValues
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
@@ -83,7 +88,7 @@ def put_under_way(controller, signals_left, steps=1):
     problem = controller.section.problem(controller.setup)
     plan = given_plan(problem, np.linspace(0.1, 0.3, signals_left + first_signal), 0)
     for _ in range(steps):
-        controller.progress = controller.progress.after(plan)
+        controller.progress = controller.progress.with_plan(plan)
 
 
 def driving_by(optimizer, signals_left=5, steps=1, clock=None, watchdog_s=None, **fields):
@@ -148,7 +153,7 @@ def test_a_signal_is_kept_to_its_end_where_few_directions_get_through(
 ):
     controller, search = driving({}, steps=steps, signal_periods=PERIODS)
     monkeypatch.setattr(StateEstimator, "is_radio_sparse", property(lambda _: is_sparse))
-    under_way = controller.progress.last.signals
+    under_way = controller.progress.last_plan.signals
     plan = decide(controller)
     assert bool(search.asked) == searched
     if not searched:
@@ -170,8 +175,9 @@ def test_a_good_plan_under_way_is_drawn_together_but_not_to_the_least_length():
     controller, search = driving(costs, signals_left=30, horizon_max=60)
     plan = decide(controller, short_by(BAD))
     asked = lengths(search)
-    assert asked[:3] == [(30, True), (30 - round(CUT * 30), True), (30 - 2 * round(CUT * 30), True)]
-    assert plan.search.length == math.ceil(SLACK * SHORTEST)
+    cut = round(CUT_FRACTION * 30)
+    assert asked[:3] == [(30, True), (30 - cut, True), (30 - 2 * cut, True)]
+    assert plan.search.length == math.ceil(LENGTH_SLACK * SHORTEST)
     assert all(begins_from_it for _, begins_from_it in asked)
 
 
@@ -264,8 +270,8 @@ def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(room
 
 
 STOPPED_NS = PERIOD_NS + PERIOD_NS // 2
-NEW_PLAN_VALUE = CandidateValues(ACCEPT, spent_s=1.0, period_s=PERIOD_S).plan(
-    0.0, SHORTEST, new=True
+NEW_PLAN_VALUE = CandidateValues(ACCEPT, leg_time_s=1.0, period_s=PERIOD_S).plan_value(
+    0.0, SHORTEST, is_new=True
 )
 """Value of this plan 1 s after the beginning if it leads exactly to the targets [mm]."""
 
@@ -313,7 +319,7 @@ def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_doe
 
 def test_robots_that_gave_up_and_are_found_at_their_way_points_go_on(monkeypatch):
     """Regression: the trial ended as arrived, far from the targets."""
-    monkeypatch.setattr("tetractl.control.methods.mpc.next_facing", lambda *_: None)
+    monkeypatch.setattr("tetractl.control.methods.mpc.choose_facing", lambda *_: None)
     robots = [robot | {"via": [robot["start"]]} for robot in THREE_M3PI["robots"]]
     controller, poses = beside_a_wall(5, arrival_tolerance=5, sections={"robots": robots})
     stop = decide(controller, poses)
@@ -355,7 +361,7 @@ RED_WAY = float(np.hypot(*(TARGETS - STARTS)[2, :2]))
 STRAIGHT = math.ceil(RED_WAY / RED_MM_S / PERIOD_S)
 """Length of the shortest plan that is searched from the starts: red, which takes longest, drives
 straight to its target."""
-FIRST = round(SPREAD * STRAIGHT)
+FIRST = round(REST_GROWTH * STRAIGHT)
 """Length of the plan that is searched first: several robots hardly ever all drive straight."""
 
 
@@ -389,14 +395,14 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
 
 
 @pytest.mark.parametrize(
-    ("search_s", "searches"), [(0.0, 3 * TRIES), (0.6 * SEARCH_S, 2), (1.1 * SEARCH_S, 1)]
+    ("search_s", "searches"), [(0.0, 3 * REST_PLANS), (0.6 * SEARCH_S, 2), (1.1 * SEARCH_S, 1)]
 )
 def test_searches_for_standing_robots_end_after_a_second(search_s, searches):
-    """No plan is good, and with time enough three lengths up to the longest are tried, TRIES times.
+    """No plan is good: with enough time, three lengths up to the longest are four times each.
     The turn that follows is given."""
     clock = HandClock()
     optimizer = Slow(clock, search_s)
-    longest = round(SPREAD * FIRST) + 1  # the third length
+    longest = round(REST_GROWTH * FIRST) + 1  # the third length
     standing = spec(collision=RESTS, horizon_max=longest, time_limit=40.2)
     controller = mpc(standing, 99, optimizer, timer=clock.now)
     plan = controller.plan(observation_of())

@@ -8,7 +8,7 @@ from testkit.paths import ROOT
 from testkit.trials import experiment
 
 from tetractl.control.methods import passage
-from tetractl.control.methods.passage import Squares, find_sequences
+from tetractl.control.methods.passage import CellGrid, find_sequences
 from tetractl.control.search.cost import predict
 from tetractl.control.search.discs import Discs
 from tetractl.control.search.optimizers.multistart import Multistart
@@ -52,12 +52,12 @@ def problem_of(spec):
 
 def test_the_lengths_of_ways_are_those_round_what_is_not_free():
     """A wall across 30 of 50 rows: from below it, round its end, to a target above it."""
-    grid = Squares(Bounds(0.0, 0.0, 90.0, 50.0))
+    grid = CellGrid(Bounds(0.0, 0.0, 90.0, 50.0))
     assert grid.shape == (50, 90)
     free = np.ones(grid.shape, dtype=np.bool_)
     free[20, :60] = False
     targets = np.array([[30.5, 30.5], [80.5, 10.5]])
-    to_first, to_second = grid.ways(free.ravel(), targets).reshape(2, 50, 90)
+    to_first, to_second = grid.path_lengths(free.ravel(), targets).reshape(2, 50, 90)
     # ten rows up on either side of the wall's end
     diagonal = np.sqrt(2)
     turns = 60 - 30 - 10

@@ -25,7 +25,7 @@ def test_a_trial_of_two_seconds_has_ten_periods_after_its_first_command(latency_
     time = TrialTime(2.0, 0.2)
     time.add_step(seen(1.0), None)  # the first plan takes 4 s
     steps = 0
-    while not time.over:
+    while not time.is_over:
         steps += 1
         time.add_step(seen(5.0 + 0.2 * steps - latency_s), sent(4.8 + 0.2 * steps))
         assert int(time.periods_left) == 10 - steps

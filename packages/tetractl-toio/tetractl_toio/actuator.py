@@ -25,8 +25,8 @@ from tetractl_toio.messages import (
 from tetractl_toio.section import ToioSection
 
 WATCHDOG_MS = 250
-TRIES = 5  # number of questions: messages may be lost
-EMPTY = 10  # charge below which a cube would soon stop [%]
+REQUESTS_MAX = 5  # number of questions: messages may be lost
+CHARGE_MIN = 10  # charge below which a cube would soon stop [%]
 
 
 class ToioActuator(WheeledActuator):
@@ -80,13 +80,15 @@ class ToioActuator(WheeledActuator):
             The motor speeds, shape (2, N).
         """
         wished = wished * may_move
-        exact = wished / self._gain
-        exact /= np.maximum(1.0, np.abs(exact).max(axis=0) / self._limit)
-        total = exact + self._owed
-        units = np.clip(np.rint(total), -self._limit, self._limit)
-        stand_or_least = np.where(np.abs(total) < SPEED_MIN / 2, 0, np.copysign(SPEED_MIN, total))
-        units = np.where(np.abs(units) < SPEED_MIN, stand_or_least, units)
-        owed = np.clip(total - units, -SPEED_MIN / 2, SPEED_MIN / 2)
+        exact_units = wished / self._gain
+        exact_units /= np.maximum(1.0, np.abs(exact_units).max(axis=0) / self._limit)
+        owed_total = exact_units + self._owed
+        units = np.clip(np.rint(owed_total), -self._limit, self._limit)
+        zero_or_minimum = np.where(
+            np.abs(owed_total) < SPEED_MIN / 2, 0, np.copysign(SPEED_MIN, owed_total)
+        )
+        units = np.where(np.abs(units) < SPEED_MIN, zero_or_minimum, units)
+        owed = np.clip(owed_total - units, -SPEED_MIN / 2, SPEED_MIN / 2)
         self._owed = owed * wished.any(axis=0)
         return units.astype(np.int64)
 
@@ -109,11 +111,11 @@ class ToioActuator(WheeledActuator):
             The status of each robot. It contains a problem if a cube did not answer or is almost
             empty, and a warning if its battery is low.
         """
-        for _ in range(TRIES):
+        for _ in range(REQUESTS_MAX):
             for cube, charge in zip(self.link.cubes, self._charge, strict=True):
                 if charge is None:
                     self.link.send(cube, Characteristic.BATTERY)
-            if wait_for(self._clock, lambda: None not in self._charge, timeout_s / TRIES):
+            if wait_for(self._clock, lambda: None not in self._charge, timeout_s / REQUESTS_MAX):
                 break
         return [
             self._status(name, charge)
@@ -150,14 +152,14 @@ class ToioActuator(WheeledActuator):
     def _status(self, name: str, charge: int | None) -> RobotStatus:
         """Describe a robot by its battery charge [%]. None means that its cube did not answer.
 
-        No answer, and a charge below EMPTY, are problems. A charge below `battery_warn` is
+        No answer, and a charge below CHARGE_MIN, are problems. A charge below `battery_warn` is
         a warning.
         """
         if charge is None:
             return RobotStatus(
                 False, problems=(f"{name} does not answer: is its cube switched on?",)
             )
-        if charge < EMPTY:
+        if charge < CHARGE_MIN:
             empty = (f"{name}'s battery is at {charge} %: charge it",)
             return RobotStatus(True, problems=empty, charge=charge)
         low = (f"{name}'s battery is at {charge} %",) if charge < self.section.battery_warn else ()

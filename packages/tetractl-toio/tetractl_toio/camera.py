@@ -25,10 +25,10 @@ from tetractl_toio.messages import (
 )
 from tetractl_toio.section import ToioCameraSection
 
-FIRST_S = 3.0  # longest time until every cube has reported
-TRIES = 5  # number of requests in this time: messages may be lost
-NEVER = -1  # time of a report that a cube has not sent
-ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
+FIRST_REPORT_MAX_S = 3.0  # longest time until every cube has reported
+REQUESTS_MAX = 5  # number of requests in this time: messages may be lost
+NEVER_NS = -1  # time of a report that a cube has not sent
+SILENCE_MAX_NS = SECOND // 10  # time of silence after which a cube is asked, and again
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +41,15 @@ class CubeReport:
     """
 
     pose: Pose | None = None
-    read_ns: int = NEVER
+    read_ns: int = NEVER_NS
 
 
 class CubeReports:
     """The last report of each of N cubes. Safe to write and read from different threads."""
 
-    def __init__(self, cubes: int) -> None:
-        self._newest = [CubeReport()] * cubes
-        self._number = 0
+    def __init__(self, n_cubes: int) -> None:
+        self._newest = [CubeReport()] * n_cubes
+        self._report_count = 0
         self._lock = threading.Lock()
 
     def note_pose(self, i: int, pose: Pose | None, at_ns: int) -> None:
@@ -62,12 +62,12 @@ class CubeReports:
         """
         with self._lock:
             self._newest[i] = CubeReport(pose, at_ns)
-            self._number += 1
+            self._report_count += 1
 
     def now(self) -> tuple[int, list[CubeReport]]:
         """Return the number of reports so far, and each cube's last report, in the cubes' order."""
         with self._lock:
-            return self._number, [*self._newest]
+            return self._report_count, [*self._newest]
 
 
 class ToioCamera:
@@ -102,7 +102,7 @@ class ToioCamera:
         self._reports = CubeReports(len(cubes))
         self._configured = set[int]()  # the cubes that have taken the settings
         self._asked_ns = 0  # when silent cubes were last asked
-        self._newest_ns = NEVER  # time of the newest report in a frame
+        self._newest_ns = NEVER_NS  # time of the newest report in a frame
 
     def __enter__(self) -> Self:
         """Connect, and return once every cube has reported.
@@ -113,10 +113,10 @@ class ToioCamera:
         """
         try:
             self._link.open()
-            for _ in range(TRIES):
+            for _ in range(REQUESTS_MAX):
                 if self._begin_reports():
                     break
-            silent = self._silent()
+            silent = self._silent_names()
             if silent:
                 hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else HINT
                 raise AbortError(f"no message came from {', '.join(silent)}", hint)
@@ -138,14 +138,14 @@ class ToioCamera:
             for setting in (NOTIFY_READINGS, NOTIFY_MISSED):
                 self._link.send(cube, Characteristic.CONFIGURATION, setting)
             self._link.send(cube, Characteristic.ID)
-        cubes = len(self._link.cubes)
+        n_cubes = len(self._link.cubes)
         return wait_for(
             self._clock,
-            lambda: not self._silent() and len(self._configured) == cubes,
-            FIRST_S / TRIES,
+            lambda: not self._silent_names() and len(self._configured) == n_cubes,
+            FIRST_REPORT_MAX_S / REQUESTS_MAX,
         )
 
-    def _silent(self) -> list[str]:
+    def _silent_names(self) -> list[str]:
         """Return the names of the robots whose cubes have not reported yet."""
         _, reports = self._reports.now()
         return [
@@ -170,7 +170,7 @@ class ToioCamera:
     def frames(self) -> list[CameraFrame]:
         """Return a new frame if a cube has reported since the last call.
 
-        Cubes that have been silent for ASK_NS are asked for a reading.
+        Cubes that have been silent for SILENCE_MAX_NS are asked for a reading.
 
         Returns:
             One frame, or an empty list if there is nothing new or if a cube has never reported.
@@ -184,29 +184,29 @@ class ToioCamera:
         self._newest_ns = newest_ns
         frame = CameraFrame(
             number=number,
-            sampled_ns=self._sampled(newest_ns),
+            sampled_ns=self._to_sampled_ns(newest_ns),
             received_ns=self._clock.now(),
             poses=tuple(report.pose for report in reports),
-            exposed_ns=tuple(map(self._sampled, times_ns)),
+            exposed_ns=tuple(map(self._to_sampled_ns, times_ns)),
         )
         return [frame]
 
     def _ask_silent(self) -> None:
-        """Ask each cube for a reading that has not reported for ASK_NS.
+        """Ask each cube that has not reported for SILENCE_MAX_NS for a reading.
 
         A cube that is lifted off the mat reports this only once, so it must be asked again.
         """
-        silent_since_ns = self._clock.now() - ASK_NS
+        silent_since_ns = self._clock.now() - SILENCE_MAX_NS
         if self._asked_ns > silent_since_ns:
             return
-        self._asked_ns = silent_since_ns + ASK_NS
+        self._asked_ns = silent_since_ns + SILENCE_MAX_NS
         _, reports = self._reports.now()
         for cube, report in zip(self._link.cubes, reports, strict=True):
             if report.read_ns <= silent_since_ns:
                 with suppress(AbortError):  # the actuator's side says why
                     self._link.send(cube, Characteristic.ID)
 
-    def _sampled(self, at_ns: int) -> int:
+    def _to_sampled_ns(self, at_ns: int) -> int:
         """Return the time of a reading [ns]: its time of arrival minus the latency, at least 0."""
         return max(0, at_ns - round(self.section.latency * SECOND))
 
@@ -224,10 +224,10 @@ class ToioCamera:
         except WireError:
             self.damaged += 1
             return
-        self._reports.note_pose(i, None if reading is None else self._pose(reading), at_ns)
+        self._reports.note_pose(i, None if reading is None else self._to_pose(reading), at_ns)
         self._wake()
 
-    def _pose(self, reading: CubeReading) -> Pose:
+    def _to_pose(self, reading: CubeReading) -> Pose:
         """Convert a reading to a pose in the spec's coordinates, whose y axis points up.
 
         Lengths are in the spec's unit, and the heading is in radians, anticlockwise.

@@ -202,7 +202,7 @@ class Unpacker:
         """
         self._unfinished += data
         while len(self._unfinished) >= 2 and len(self._unfinished) >= 2 + self._unfinished[1]:
-            end = 2 + self._unfinished[1]
-            message = self._unfinished[:end]
-            self._unfinished = self._unfinished[end:]
+            message_end = 2 + self._unfinished[1]
+            message = self._unfinished[:message_end]
+            self._unfinished = self._unfinished[message_end:]
             yield message[0], message[2:]

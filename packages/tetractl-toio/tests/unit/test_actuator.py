@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from testkit.cli import tetractl
-from tetractl_toio.actuator import EMPTY
+from tetractl_toio.actuator import CHARGE_MIN
 from tetractl_toio.messages import (
     SPEED_MIN,
     WHEEL_MM_S,
@@ -103,11 +103,11 @@ def statuses(cubes, charges):
 def test_a_cube_is_silent_empty_low_or_well(cubes):
     actuator, _ = cubes
     level = round(actuator.section.battery_warn)
-    silent, empty, low = statuses(cubes, (None, EMPTY - 1, level - 1))
+    silent, empty, low = statuses(cubes, (None, CHARGE_MIN - 1, level - 1))
     assert "does not answer" in silent.problems[0]
     assert (silent.answers, silent.charge) == (False, None)
-    assert f"is at {EMPTY - 1} %: charge it" in empty.problems[0]
-    assert (empty.answers, empty.charge, empty.warnings) == (True, EMPTY - 1, ())
+    assert f"is at {CHARGE_MIN - 1} %: charge it" in empty.problems[0]
+    assert (empty.answers, empty.charge, empty.warnings) == (True, CHARGE_MIN - 1, ())
     assert f"is at {level - 1} %" in low.warnings[0]
     assert low.problems == ()
 
@@ -115,9 +115,9 @@ def test_a_cube_is_silent_empty_low_or_well(cubes):
 def test_a_cube_at_either_level_is_not_below_it(cubes):
     actuator, _ = cubes
     level = round(actuator.section.battery_warn)
-    at_empty, at_level, full = statuses(cubes, (EMPTY, level, 100))
+    at_empty, at_level, full = statuses(cubes, (CHARGE_MIN, level, 100))
     assert at_empty.problems == ()
-    assert len(at_empty.warnings) == (level > EMPTY)
+    assert len(at_empty.warnings) == (level > CHARGE_MIN)
     for well in (at_level, full):
         assert well.problems == well.warnings == ()
         assert well.answers

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from testkit.cli import tetractl
 from testkit.hand_clock import HandClock
 from tetractl_toio import camera as camera_module
-from tetractl_toio.camera import ASK_NS, CubeReports, ToioCamera, placed
+from tetractl_toio.camera import SILENCE_MAX_NS, CubeReports, ToioCamera, placed
 from tetractl_toio.messages import (
     NOTIFY_MISSED,
     NOTIFY_READINGS,
@@ -178,17 +178,17 @@ def test_silent_cubes_are_asked_once_in_a_while_and_those_that_report_are_not(ca
     camera.frames()
     cubes = camera.link.cubes
     camera.link.sent.clear()
-    camera.clock.advance_ns(ASK_NS - 1)
+    camera.clock.advance_ns(SILENCE_MAX_NS - 1)
     tell(camera, 0)
     camera.frames()
     assert camera.link.sent == []
     camera.clock.advance_ns(1)
     camera.frames()
     assert camera.link.sent == [(cube, Characteristic.ID, b"") for cube in cubes[1:]]
-    camera.clock.advance_ns(ASK_NS // 2)
+    camera.clock.advance_ns(SILENCE_MAX_NS // 2)
     camera.frames()
     assert len(camera.link.sent) == 2
-    camera.clock.advance_ns(ASK_NS)
+    camera.clock.advance_ns(SILENCE_MAX_NS)
     camera.frames()
     assert len(camera.link.sent) == 5
 

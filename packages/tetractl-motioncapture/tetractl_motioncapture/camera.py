@@ -50,7 +50,7 @@ class MotionCapture(PortCamera):
         ports: PortFactory | None = None,
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
-        self._bodies: list[str] = []
+        self._streamed_names: list[str] = []
         self._up_axis = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
         self._placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
         super().__init__(section, setup, clock, wake, ports)
@@ -62,46 +62,59 @@ class MotionCapture(PortCamera):
         return ProcessPort(name, *arguments[1:])
 
     def check(self) -> Health:
-        """Report each robot whose rigid body is missing from the stream."""
-        untracked = [robot for robot in self.robots if str(robot.body) not in self._bodies]
-        streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
-        unlisted = len(self._bodies) - NAMES_MAX
-        streamed = (
-            f"{streamed or 'none'} and {unlisted} more" if unlisted > 0 else streamed or "none"
+        """Check whether the rigid body of every robot is streamed. Each missing body is a problem.
+
+        The newest frame decides.
+        """
+        untracked = [robot for robot in self.robots if str(robot.body) not in self._streamed_names]
+        streamed_names = ", ".join(
+            printable(name, NAME_MAX) for name in self._streamed_names[:NAMES_MAX]
         )
-        lines = [
-            f"the system streams no rigid body {o.body} for {o.name}; it streams {streamed}"
-            for o in untracked
+        unlisted_count = len(self._streamed_names) - NAMES_MAX
+        streamed_names = (
+            f"{streamed_names or 'none'} and {unlisted_count} more"
+            if unlisted_count > 0
+            else streamed_names or "none"
+        )
+        problems = [
+            f"the system streams no rigid body {robot.body} for {robot.name}; it streams "
+            f"{streamed_names}"
+            for robot in untracked
         ]
-        return Health(tuple(lines), emulated=self.emulated)
+        return Health(tuple(problems), emulated=self.emulated)
 
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
         """Return the pose of each robot in a frame.
 
         The pose is None for a robot whose body is missing.
         """
-        line = json.loads(message)
-        self._bodies = list(line["bodies"])
-        self.emulated = "emulated" in line
+        frame = json.loads(message)
+        self._streamed_names = list(frame["bodies"])
+        self.emulated = "emulated" in frame
         return tuple(
-            self._convert_pose(line["bodies"].get(str(o.body)), o.heading_offset)
-            for o in self.robots
+            self._convert_pose(frame["bodies"].get(str(robot.body)), robot.heading_offset)
+            for robot in self.robots
         )
 
-    def _convert_pose(self, body: list[float] | None, offset: float) -> Pose | None:
+    def _convert_pose(
+        self, position_and_quaternion: list[float] | None, heading_offset: float
+    ) -> Pose | None:
         """Convert a body's position and quaternion to a pose.
 
         Args:
-            body: Position [m] and quaternion x, y, z, w. None if the body is not in the frame.
-            offset: Angle to add to the heading [rad].
+            position_and_quaternion: Position [m] and quaternion x, y, z, w of the rigid body. None
+                if the body is not in the frame.
+            heading_offset: Angle to add to the heading [rad].
 
         Returns:
             The pose. None if the body is not in the frame.
         """
-        if body is None:
+        if position_and_quaternion is None:
             return None
-        x, y, z, *quaternion = body
-        qx, qy, qz, qw = quaternion
+        x, y, z, *quaternion = position_and_quaternion
+        quaternion_x, quaternion_y, quaternion_z, quaternion_w = quaternion
         return self._placement.pose(
-            RigidBody(0, (x, y, z), (qx, qy, qz, qw), True), self._up_axis, offset
+            RigidBody(0, (x, y, z), (quaternion_x, quaternion_y, quaternion_z, quaternion_w), True),
+            self._up_axis,
+            heading_offset,
         )

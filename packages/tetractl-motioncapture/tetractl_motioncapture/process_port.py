@@ -46,13 +46,13 @@ class ProcessPort(ClientPort):
         if not line:
             code = self._process.wait()
             if code < 0:
-                why = signal.strsignal(-code) or f"signal {-code}"
+                reason = signal.strsignal(-code) or f"signal {-code}"
             else:
-                why = ": ".join([f"exit code {code}", *self._process.error_lines()[-1:]])
-            raise AbortError(f"the process that reads {self._device} has stopped: {why}")
-        stamp, _, message = line.partition(b" ")
+                reason = ": ".join([f"exit code {code}", *self._process.error_lines()[-1:]])
+            raise AbortError(f"the process that reads {self._device} has stopped: {reason}")
+        stamp_ns, _, message = line.partition(b" ")
         # in the pipe, as after a sleep
-        waited_ns = max(0, host_ns() - int(stamp))
+        waited_ns = max(0, host_ns() - int(stamp_ns))
         self.take(message, waited_ns)
 
     def disconnect(self) -> None:

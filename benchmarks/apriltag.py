@@ -96,7 +96,7 @@ def measure_errors(
             y = poses.y + 200 * t_s * np.sin(directions)
             return Poses(x, y, poses.heading + turning_rates * t_s)
 
-        tracked = tracker.see(compressed(scene.picture(at, 0)))
+        tracked = tracker.track_image(compressed(scene.picture(at, 0)))
         smallest_px = min(smallest_px, tracked.side_px or math.inf)
         for i, pose in enumerate(tracked.poses):
             if pose is not None:
@@ -203,7 +203,7 @@ def tilt(scale: float) -> None:
             with_lens = Tracker(make_section(lens={"focal_px": scene.optics.focal_px}), NAMES, MM)
             mm, _, _, _ = measure_errors(without_lens, scene, round(100 * scale))
             mm_with_lens, _, _, _ = measure_errors(with_lens, scene, round(100 * scale))
-            cells = np.median(mm), without_lens.floor.plane.doubt_mm, np.median(mm_with_lens)
+            cells = np.median(mm), without_lens.floor.plane.lens_error_mm, np.median(mm_with_lens)
             print_row(size_text(size), angle, *(f"{value:.2f}" for value in cells))
 
 
@@ -216,7 +216,7 @@ def blur(scale: float) -> None:
             poses = scattered(np.random.default_rng(0))
             for _ in range(2):
                 picture = make_renderer(size).picture(partial(stationary_poses, poses), 0)
-                tracker.see(picture)
+                tracker.track_image(picture)
             _, _, found, _ = measure_errors(
                 tracker, make_renderer(size, blur_px=sigma), round(100 * scale)
             )

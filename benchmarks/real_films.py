@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from tetractl_microscope.cells.identity_watch import SURE
+from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.organisms import Organism, named
 from tetractl_microscope.pictures.feed import SourceEndedError
@@ -98,11 +98,20 @@ def track_cells(
     tracker.finder.learn(list(first[:: max(1, len(first) // LEARNING_IMAGES)]))
     rows = []
     for number, image in enumerate(images):
-        for cell in tracker.see(image, number / rate_hz, no_field):
+        for cell in tracker.track_image(image, number / rate_hz, no_field):
             column = cell.x / um_px - 0.5
             row = len(image) - 0.5 - cell.y / um_px
             is_found = cell.has_blob and not cell.merged
-            rows.append((number, cell.identity, column, row, cell.probability >= SURE, is_found))
+            rows.append(
+                (
+                    number,
+                    cell.identity,
+                    column,
+                    row,
+                    cell.probability >= KNOWN_PROBABILITY,
+                    is_found,
+                )
+            )
     return np.array(rows, float).reshape(-1, 6)
 
 

@@ -9,7 +9,7 @@ whose magnet is off by d turns at the rate
     w = a sin(phi + d) = w0 cos d + a cos(phi) sin d,   w0 = a sin(phi),
 
 where w0 is the commanded rate. The angle d of a cell is not known. Therefore every rate is allowed
-that has |d| <= MAGNET_RAD, with the relative error WANDERS.
+that has |d| <= MAGNET_MAX_RAD, with the relative error RATE_SLACK.
 """
 
 import math
@@ -27,19 +27,19 @@ from tetractl.lab.kernel import compute_edge_excess, distance_outside, drive_ahe
 from tetractl.lab.motion_check import MotionCheck
 from tetractl.model.swimmers import DIPOLE_SD_RAD
 
-WANDERS = 0.7
+RATE_SLACK = 0.7
 """Relative error that is allowed for a cell's speed and turning rate.
 
 Cells wander far more than wheels slip.
 """
-NOISE = 0.0
+POSITION_ERROR = 0.0
 """Assumed error of a cell's position [length unit].
 
-It is neglected: the slack of `WANDERS` is much larger.
+It is neglected: the slack of `RATE_SLACK` is much larger.
 """
-MAGNET_RAD = 3 * DIPOLE_SD_RAD
+MAGNET_MAX_RAD = 3 * DIPOLE_SD_RAD
 """Maximum angle between a cell's magnet and its axis [rad]: three standard deviations."""
-HEADING_RAD = 0.06
+HEADING_ERROR_MAX_RAD = 0.06
 """Maximum error of a measured heading [rad].
 
 It is four standard deviations of 0.0146 rad, which the headings in emulated pictures had (450
@@ -49,32 +49,36 @@ poses of three cells).
 
 def cell_checks(rules: GuardRules) -> GuardChecks:
     """Create the checks of the guard for a lab whose robots are cells."""
-    swims = Swims(rules)
-    return GuardChecks((swims, Stays(rules)), DriftCheck(rules, swims), together=True)
+    swims = SwimCheck(rules)
+    return GuardChecks((swims, StayCheck(rules)), DriftCheck(rules, swims), together=True)
 
 
-class Swims(MotionCheck):
+class SwimCheck(MotionCheck):
     """The check of a cell's motion. It warns if a cell moves as no command explains.
 
     After a warning, the comparison with the commands starts again with the next pose.
     """
 
     def __init__(self, rules: GuardRules) -> None:
-        super().__init__(rules, NOISE, WANDERS)
+        super().__init__(rules, POSITION_ERROR, RATE_SLACK)
         self._names = rules.names
         self._a = np.array(rules.turning)
-        self._slack[:, 2] += 2 * HEADING_RAD
+        self._slack[:, 2] += 2 * HEADING_ERROR_MAX_RAD
 
     def record_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
         """Record the rates that a transmission allows; see `GuardCheck.record_transmission`."""
-        v = np.array(speed)
+        speeds = np.array(speed)
         slowest, fastest = turning_rates(np.array(turning), self._a)
-        error = WANDERS * np.abs(v)
-        least = np.array([v - error, -error, slowest - WANDERS * np.abs(slowest)]).T
-        greatest = np.array([v + error, error, fastest + WANDERS * np.abs(fastest)]).T
-        self._commanded.add(now_ns, np.array([least, greatest]))
+        speed_error = RATE_SLACK * np.abs(speeds)
+        minimum = np.array(
+            [speeds - speed_error, -speed_error, slowest - RATE_SLACK * np.abs(slowest)]
+        ).T
+        maximum = np.array(
+            [speeds + speed_error, speed_error, fastest + RATE_SLACK * np.abs(fastest)]
+        ).T
+        self._commanded.add(now_ns, np.array([minimum, maximum]))
 
     def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Warn of a pose that no command explains; see `GuardCheck.check_pose`.
@@ -98,15 +102,17 @@ def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
         commanded: Turning rates of cells whose magnets lie along their axes, shape (N,) [rad/s].
         a: The cells' greatest turning rates, shape (N,) [rad/s].
     """
-    along = commanded * math.cos(MAGNET_RAD)
-    across = np.sqrt(np.maximum(np.square(a) - np.square(commanded), 0.0)) * math.sin(MAGNET_RAD)
-    near_greatest = a * math.cos(MAGNET_RAD)  # beyond it, some angle d gives the rate a
-    least = np.where(commanded <= -near_greatest, -a, along - across)
-    greatest = np.where(commanded >= near_greatest, a, along + across)
-    return least, greatest
+    along = commanded * math.cos(MAGNET_MAX_RAD)
+    across = np.sqrt(np.maximum(np.square(a) - np.square(commanded), 0.0)) * math.sin(
+        MAGNET_MAX_RAD
+    )
+    saturated_rate = a * math.cos(MAGNET_MAX_RAD)  # beyond it, some angle d gives the rate a
+    minimum = np.where(commanded <= -saturated_rate, -a, along - across)
+    maximum = np.where(commanded >= saturated_rate, a, along + across)
+    return minimum, maximum
 
 
-class Stays(GuardCheck):
+class StayCheck(GuardCheck):
     """A check that loses a cell that leaves the arena, and aborts if two come too close."""
 
     def __init__(self, rules: GuardRules) -> None:
@@ -117,17 +123,17 @@ class Stays(GuardCheck):
 
         Cells that are lost or not tracked are skipped.
         """
-        now: dict[str, Pose] = {}
-        then: dict[str, Pose] = {}
+        poses_now: dict[str, Pose] = {}
+        poses_ahead: dict[str, Pose] = {}
         for i, robot in enumerate(robots):
             if robot.pose is None or robot.lost:
                 continue
             name = self._rules.names[i]
-            now[name] = robot.pose
-            then[name] = drive_ahead(robot.pose, robot.way)
-            if distance_outside(self._rules.arena, then[name]) > distance_outside(
+            poses_now[name] = robot.pose
+            poses_ahead[name] = drive_ahead(robot.pose, robot.way)
+            if distance_outside(self._rules.arena, poses_ahead[name]) > distance_outside(
                 self._rules.arena, robot.pose
             ):
-                excess = compute_edge_excess(self._rules, i, then[name])
+                excess = compute_edge_excess(self._rules, i, poses_ahead[name])
                 yield Lose(i, f"{name} is about to leave the arena", excess)
-        yield from find_too_close(now, then, self._rules)
+        yield from find_too_close(poses_now, poses_ahead, self._rules)

@@ -23,10 +23,10 @@ from tetractl_microscope.choice.turn_field import manoeuvre, turn_field
 from tetractl_microscope.one_recording import EXPLAINED
 from tetractl_microscope.sent_directions import FieldAt, courses, turning_fit
 
-LEAST_CELLS = 3  # fewest cells that show a rotation
-SURE = 3.0  # standard deviations by which a rotation must differ from 0
-ALLOWED = 0.15  # rotation below which nothing is said [rad]
-ALIKE = 1e-6
+CELLS_MIN = 3  # minimum number of cells that show a rotation
+SURE = 3.0  # minimum rotation that counts as certain [standard deviations]
+ALLOWED = 0.15  # maximum rotation that is not reported [rad]
+EXPLAINED_DIFFERENCE_MIN = 1e-6
 """Maximum difference of two explained fractions that counts as rounding.
 
 A field that never changes explains the same fraction with and without mirroring.
@@ -35,14 +35,15 @@ A field that never changes explains the same fraction with and without mirroring
 
 @dataclass(frozen=True, slots=True)
 class Handedness:
-    """How cells turned in the field.
+    """The direction in which cells turned, relative to the direction of the field.
 
     Attributes:
         cells: Number of cells.
-        mirrored: Whether they turned to the opposite side of the field.
-        turned: Angle from the field's direction to the direction towards which they turned [rad].
-        turned_sd: Its standard deviation [rad].
-        explained: Fraction of their turning that this explains.
+        mirrored: Whether the cells turned towards the mirror image of the field.
+        turned: Angle from the field's direction to the direction towards which the cells turned
+            [rad].
+        turned_sd: Standard deviation of `turned` [rad].
+        explained: Fraction of the cells' turning that the field explains.
     """
 
     cells: int
@@ -100,35 +101,35 @@ def watch_turning(
         directions = np.array([direction(round(time_s * SECOND)) for time_s in times])
         return np.exp(1j * directions)
 
-    return cells, handedness([np.array(path) for path in seen_paths.values()], field)
+    return cells, find_handedness([np.array(path) for path in seen_paths.values()], field)
 
 
-def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
-    """Determine how cells turned in a field.
+def find_handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
+    """Determine whether cells turned towards a field, its mirror image, or a rotated direction.
 
     Args:
         paths: For each cell, times [s] and positions x, y, shape (K, 3).
         field: The field.
 
     Returns:
-        The result. None for fewer than LEAST_CELLS cells.
+        The result. None for fewer than CELLS_MIN cells.
     """
     turned_courses = courses(paths)
-    if len(turned_courses) < LEAST_CELLS:
+    if len(turned_courses) < CELLS_MIN:
         return None
-    to_field = turning_fit(turned_courses, field)
-    to_image = turning_fit(turned_courses, lambda times: field(times).conj())
-    mirrored = to_image[0] > to_field[0] + ALIKE
-    share, vectors = to_image if mirrored else to_field
-    turned = float(np.angle(vectors.sum()))
+    fit_to_field = turning_fit(turned_courses, field)
+    fit_to_mirror_image = turning_fit(turned_courses, lambda times: field(times).conj())
+    mirrored = fit_to_mirror_image[0] > fit_to_field[0] + EXPLAINED_DIFFERENCE_MIN
+    explained_fraction, factors = fit_to_mirror_image if mirrored else fit_to_field
+    turned = float(np.angle(factors.sum()))
     # a cell without a magnet has a short vector, and so little weight
-    across = (vectors * np.exp(-1j * turned)).imag
-    total_length = max(abs(vectors.sum()), 1e-9)
-    spread = float(np.linalg.norm(across) / total_length)
-    return Handedness(len(turned_courses), mirrored, turned, spread, share)
+    across = (factors * np.exp(-1j * turned)).imag
+    total_length = max(abs(factors.sum()), 1e-9)
+    angle_sd = float(np.linalg.norm(across) / total_length)
+    return Handedness(len(turned_courses), mirrored, turned, angle_sd, explained_fraction)
 
 
-def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
+def describe_handedness(turning: Handedness | None) -> tuple[list[str], str]:
     """Describe how the cells turned.
 
     Args:
@@ -140,26 +141,26 @@ def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
     """
     if turning is None:
         return [
-            f"no result: fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned"
+            f"no result: fewer than {CELLS_MIN} cells were seen for 2 s while the field turned"
         ], "-"
-    off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"
-    text = (
+    angle_text = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"
+    turning_text = (
         f"{100 * turning.explained:.0f} % of the turning of {turning.cells} cells is towards "
-        + ("the mirror image of the field" if turning.mirrored else f"the field, {off}")
+        + ("the mirror image of the field" if turning.mirrored else f"the field, {angle_text}")
     )
     if turning.explained < EXPLAINED:
         return [
             "the cells do not turn with the field: is the field on, and are the cells magnetised?"
-        ], text
+        ], turning_text
     mirrored = (
         "the image is mirrored (change lab.camera.mirrored), or the current of one coil pair "
         "is reversed (change the sign of gain_mt_a)"
     )
     rotated = "subtract this angle from lab.camera.rotation, or add it to the coils' rotation"
-    return wrong_sides(turning, mirrored, rotated), text
+    return describe_wrong_sides(turning, mirrored, rotated), turning_text
 
 
-def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
+def describe_wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
     """Describe wrong directions of the field, with a cause or remedy for each.
 
     Args:
@@ -174,5 +175,7 @@ def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
         return []
     if turning.mirrored:
         return [f"cells turn right when the field turns left: {mirrored}"]
-    off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off the field's direction"
-    return [f"cells turn towards a direction that is {off}: {rotated}"]
+    angle_text = (
+        f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off the field's direction"
+    )
+    return [f"cells turn towards a direction that is {angle_text}: {rotated}"]

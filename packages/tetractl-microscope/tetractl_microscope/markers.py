@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 PAPERS = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # mm
 MARGIN_MM = 10.0
-LABEL_MM = 6.0
+LABEL_HEIGHT_MM = 6.0
 RULER_MM = 100.0
 INCH_MM = 25.4
-ARROW = 0.3
+ARROW_MODULES = 0.3
 """Length of the arrow on a card, from its centre, in modules of the tag."""
-LETTER = 0.45
+FONT_MODULES = 0.45
 """Font size of the word beside the arrow, in modules: "front" is then 1.2 modules long."""
 
 
@@ -43,8 +43,8 @@ class Card(NamedTuple):
     angle: float = 0.0
 
 
-Placed = tuple[float, float, Card]
-"""Left and lower end of a card on a page [mm], and the card."""
+PlacedCard = tuple[float, float, Card]
+"""x of the left edge and y of the lower edge of a card on a page [mm], and the card."""
 
 
 def markers(
@@ -88,7 +88,7 @@ def markers(
         )
         for tag in camera.floor
     ]
-    pages = [drawn(PAPERS[paper], page) for page in arranged(PAPERS[paper], cards)]
+    pages = [draw_page(PAPERS[paper], page) for page in arrange_cards(PAPERS[paper], cards)]
     save_whole(out, _pdf(pages))
     print(out)
     ui.tell(
@@ -98,38 +98,38 @@ def markers(
     return Exit.DONE
 
 
-def arranged(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[list[Placed]]:
+def arrange_cards(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[list[PlacedCard]]:
     """Yield the cards of each page of a given size [mm], in rows from the top.
 
     Raises:
         UsageError: If a tag is larger than a page.
     """
     width, height = size
-    page: list[Placed] = []
+    page: list[PlacedCard] = []
     x = MARGIN_MM
-    top = height - MARGIN_MM
-    low = height - MARGIN_MM
+    row_top = height - MARGIN_MM
+    row_bottom = height - MARGIN_MM
     for card in cards:
-        whole = card.side_mm * 1.25  # with a module of white around the eight of the tag
-        if whole > width - 2 * MARGIN_MM or whole > height - 3 * MARGIN_MM - LABEL_MM:
-            size_text = f"the tag of {card.side_mm:g} mm and its margin do not fit on the paper"
-            raise UsageError(f"tag {card.tag}: {size_text}")
-        if x + whole > width - MARGIN_MM:
+        card_mm = card.side_mm * 1.25  # with a module of white around the eight of the tag
+        if card_mm > width - 2 * MARGIN_MM or card_mm > height - 3 * MARGIN_MM - LABEL_HEIGHT_MM:
+            problem = f"the tag of {card.side_mm:g} mm and its margin do not fit on the paper"
+            raise UsageError(f"tag {card.tag}: {problem}")
+        if x + card_mm > width - MARGIN_MM:
             x = MARGIN_MM
-            top = low
-        if top - whole - LABEL_MM < 2 * MARGIN_MM:
+            row_top = row_bottom
+        if row_top - card_mm - LABEL_HEIGHT_MM < 2 * MARGIN_MM:
             yield page
             page = []
             x = MARGIN_MM
-            top = height - MARGIN_MM
-            low = top
-        page.append((x, top - whole, card))
-        x = x + whole
-        low = min(low, top - whole - LABEL_MM)
+            row_top = height - MARGIN_MM
+            row_bottom = row_top
+        page.append((x, row_top - card_mm, card))
+        x = x + card_mm
+        row_bottom = min(row_bottom, row_top - card_mm - LABEL_HEIGHT_MM)
     yield page
 
 
-def drawn(size: tuple[float, float], page: Sequence[Placed]) -> "Figure":
+def draw_page(size: tuple[float, float], page: Sequence[PlacedCard]) -> "Figure":
     """Return a page of a size (width, height) [mm] with its tags, labels and ruler, as vectors.
 
     Positions on the page are counted from its lower left corner [mm].
@@ -156,16 +156,18 @@ def _draw_tag(axes: "Axes", x: float, y: float, card: Card) -> None:
 
     from tetractl_microscope.apriltag.detect import MODULES, tag_picture
 
-    side = card.side_mm
-    module = side / MODULES
-    outer = (MODULES + 2) * module
-    axes.add_patch(Rectangle((x, y), outer, outer, fill=False, color="0.8", linewidth=0.2))
-    axes.add_patch(Rectangle((x + module, y + module), side, side, color="k", linewidth=0))
+    side_mm = card.side_mm
+    module_mm = side_mm / MODULES
+    card_mm = (MODULES + 2) * module_mm
+    axes.add_patch(Rectangle((x, y), card_mm, card_mm, fill=False, color="0.8", linewidth=0.2))
+    axes.add_patch(
+        Rectangle((x + module_mm, y + module_mm), side_mm, side_mm, color="k", linewidth=0)
+    )
     for row, modules in enumerate(tag_picture(card.tag)):
         for column, grey in enumerate(modules.tolist()):
             if grey:
-                corner = x + (1 + column) * module, y + (MODULES - row) * module
-                axes.add_patch(Rectangle(corner, module, module, color="w", linewidth=0))
+                corner = x + (1 + column) * module_mm, y + (MODULES - row) * module_mm
+                axes.add_patch(Rectangle(corner, module_mm, module_mm, color="w", linewidth=0))
 
 
 def _draw_arrow(axes: "Axes", x: float, y: float, card: Card) -> None:
@@ -178,16 +180,16 @@ def _draw_arrow(axes: "Axes", x: float, y: float, card: Card) -> None:
 
     from tetractl_microscope.apriltag.detect import MODULES
 
-    module = card.side_mm / MODULES
-    centre = np.array([x, y]) + (MODULES + 1.5) * module
-    turns = card.angle + np.array([0.0, 2.5, -2.5])  # of the tip and of the two other ends [rad]
-    ends = centre + ARROW * module * np.column_stack([np.cos(turns), np.sin(turns)])
-    axes.add_patch(Polygon(ends, color="k", linewidth=0))
+    module_mm = card.side_mm / MODULES
+    centre = np.array([x, y]) + (MODULES + 1.5) * module_mm
+    angles = card.angle + np.array([0.0, 2.5, -2.5])  # of the tip and of the two other ends [rad]
+    corners = centre + ARROW_MODULES * module_mm * np.column_stack([np.cos(angles), np.sin(angles)])
+    axes.add_patch(Polygon(corners, color="k", linewidth=0))
     axes.text(
-        centre[0] - 0.45 * module,
+        centre[0] - 0.45 * module_mm,
         centre[1],
         card.points_to,
-        fontsize=LETTER * module * 72 / INCH_MM,
+        fontsize=FONT_MODULES * module_mm * 72 / INCH_MM,
         ha="right",
         va="center",
     )

@@ -2,8 +2,8 @@
 
 A range (low, high) contains about 95 % of healthy swimmers that are seen from above. Sizes in an
 image are less exact: blur widens a body, a tilt out of the image plane shortens it, and a cell that
-divides is longer. A tracker therefore accepts an object as a swimmer up to the factor OUTLINE
-beyond a range. Another package can add an organism with an entry point of the group
+divides is longer. A tracker therefore accepts an object as a swimmer up to the factor
+OUTLINE_FACTOR beyond a range. Another package can add an organism with an entry point of the group
 "tetractl.organisms" whose object is an `Organism`. A `guess` is a value for which no source was
 found.
 """
@@ -15,8 +15,9 @@ from tetractl.core.errors import UsageError
 from tetractl.model.cell_numbers import BODY_UM, HELIX_HZ, HELIX_UM, WIDTH_UM
 from tetractl_microscope.registries import ORGANISMS
 
-OUTLINE = 1.6  # factor by which an outline in a picture may be longer or shorter than the body
-SLOW = 1 / 3  # an organism that swims at less than this fraction of its lowest speed rests
+# Maximum factor by which an outline in an image is longer or shorter than the body.
+OUTLINE_FACTOR = 1.6
+SLOW_FRACTION = 1 / 3  # an organism that swims at less than this fraction of its lowest speed rests
 
 Range = tuple[float, float]
 """The lowest and the highest value."""
@@ -52,20 +53,23 @@ class Organism:
     @property
     def outline_um(self) -> tuple[Range, Range]:
         """Ranges of length and width of an outline that may be this organism [um]."""
-        short, long = self.long_um
-        thin, thick = self.wide_um
-        return (short / OUTLINE, long * OUTLINE), (thin / OUTLINE, thick * OUTLINE)
+        length_min, length_max = self.long_um
+        width_min, width_max = self.wide_um
+        return (length_min / OUTLINE_FACTOR, length_max * OUTLINE_FACTOR), (
+            width_min / OUTLINE_FACTOR,
+            width_max * OUTLINE_FACTOR,
+        )
 
     @property
     def outline_um2(self) -> Range:
         """Range of the area of an outline that may be this organism, an ellipse [um^2]."""
-        (short, long), (thin, thick) = self.outline_um
-        return math.pi / 4 * short * thin, math.pi / 4 * long * thick
+        (length_min, length_max), (width_min, width_max) = self.outline_um
+        return math.pi / 4 * length_min * width_min, math.pi / 4 * length_max * width_max
 
     @property
     def slowest_um_s(self) -> float:
         """Speed below which an individual counts as resting [um/s]."""
-        return SLOW * self.speed_um_s[0]
+        return SLOW_FRACTION * self.speed_um_s[0]
 
     @property
     def quickness(self) -> float:

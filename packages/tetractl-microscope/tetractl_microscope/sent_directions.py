@@ -30,9 +30,9 @@ GRID_S = 0.05  # time step of the analysis
 SMOOTHING_STEPS = (
     8  # steps over which a course is measured: a turn of a cell's helix takes about as long
 )
-LONGEST_GAP_S = 0.25  # a longer gap between two positions separates a path
-SHORTEST_S = 2.0  # least duration of a piece of a path
-STILL_RAD_S = 0.1  # turning rate that always counts as unexplained [rad/s]
+GAP_MAX_S = 0.25  # a longer gap between two positions separates a path
+PIECE_MIN_S = 2.0  # least duration of a piece of a path
+STILL_RATE_RAD_S = 0.1  # turning rate that always counts as unexplained [rad/s]
 TURNING_STD_MIN_RAD_S = 0.3
 """Standard deviation of turning rates above which robots count as turning [rad/s]."""
 DELAYS_S = np.arange(21) / 10
@@ -132,14 +132,14 @@ def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
 
     A course is the direction from each place to the place SMOOTHING_STEPS steps later.
     """
-    turned: list[TurnedCourse] = []
-    for piece in chain.from_iterable(map(_split_at_gaps, paths)):
-        times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
-        x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
+    all_courses: list[TurnedCourse] = []
+    for path_piece in chain.from_iterable(map(_split_at_gaps, paths)):
+        times = np.arange(path_piece[0, 0], path_piece[-1, 0], GRID_S)
+        x, y = (np.interp(times, path_piece[:, 0], path_piece[:, k]) for k in (1, 2))
         positions = x + 1j * y
         directions = np.angle(positions[SMOOTHING_STEPS:] - positions[:-SMOOTHING_STEPS])
-        turned.append(_centred_course(times, np.unwrap(directions)))
-    return turned
+        all_courses.append(_centred_course(times, np.unwrap(directions)))
+    return all_courses
 
 
 def _centred_course(times: Floats, angle: Floats) -> TurnedCourse:
@@ -312,10 +312,10 @@ def towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
     Returns:
         The rate a, and the turning rate that it explains, shape (K,).
     """
-    pull = basis[:, 0]
-    squares = float(pull @ pull)
-    a = max(0.0, float(rate @ pull) / squares) if squares > 0 else 0.0
-    return complex(a), a * pull
+    unit_rates = basis[:, 0]
+    squared_sum = float(unit_rates @ unit_rates)
+    a = max(0.0, float(rate @ unit_rates) / squared_sum) if squared_sum > 0 else 0.0
+    return complex(a), a * unit_rates
 
 
 def turning_fit(
@@ -332,29 +332,31 @@ def turning_fit(
         The fraction of the turning that it explains, and the field's factor a exp(if) for each
         course (N,) [rad/s].
     """
-    total = 0.0
-    unexplained = 0.0
-    vectors: list[complex] = []
+    total_squares = 0.0
+    residual_squares = 0.0
+    factors: list[complex] = []
     for course in turned:
         rate = np.gradient(course.angle, GRID_S)[SMOOTHING_STEPS:-SMOOTHING_STEPS]
-        vector, explained = response(_unit_turning_rates(course, field), rate)
-        residual = rate - explained
-        floor = STILL_RAD_S**2 * len(rate)
-        total += float(rate @ rate) + floor
-        unexplained += float(residual @ residual) + floor
-        vectors.append(vector)
-    return 1 - unexplained / total, np.array(vectors)
+        factor, explained_rate = response(_unit_turning_rates(course, field), rate)
+        residual = rate - explained_rate
+        floor = STILL_RATE_RAD_S**2 * len(rate)
+        total_squares += float(rate @ rate) + floor
+        residual_squares += float(residual @ residual) + floor
+        factors.append(factor)
+    return 1 - residual_squares / total_squares, np.array(factors)
 
 
 def _split_at_gaps(path: Floats) -> list[Floats]:
-    """Split a path (K, 3) at gaps above LONGEST_GAP_S.
+    """Split a path (K, 3) at gaps above GAP_MAX_S.
 
-    The pieces that last longer than SHORTEST_S are returned in their order.
+    The pieces that last longer than PIECE_MIN_S are returned in their order.
     """
     if len(path) < 2:
         return []
-    cuts = np.flatnonzero(np.diff(path[:, 0]) > LONGEST_GAP_S) + 1
-    return [piece for piece in np.split(path, cuts) if np.ptp(piece[:, 0]) > SHORTEST_S]
+    cuts = np.flatnonzero(np.diff(path[:, 0]) > GAP_MAX_S) + 1
+    return [
+        path_piece for path_piece in np.split(path, cuts) if np.ptp(path_piece[:, 0]) > PIECE_MIN_S
+    ]
 
 
 def _unit_turning_rates(course: TurnedCourse, field: FieldAt) -> Floats:
@@ -362,6 +364,6 @@ def _unit_turning_rates(course: TurnedCourse, field: FieldAt) -> Floats:
     window = (
         np.ones(SMOOTHING_STEPS) / SMOOTHING_STEPS
     )  # a course is a mean, and so is what turns it
-    pull = field(course.times) * np.exp(-1j * course.angle)
-    mean_pull = np.convolve(pull, window, "same")[SMOOTHING_STEPS:-SMOOTHING_STEPS]
-    return np.stack([mean_pull.imag, mean_pull.real], axis=1)
+    unit_rates = field(course.times) * np.exp(-1j * course.angle)
+    mean_rates = np.convolve(unit_rates, window, "same")[SMOOTHING_STEPS:-SMOOTHING_STEPS]
+    return np.stack([mean_rates.imag, mean_rates.real], axis=1)

@@ -86,9 +86,9 @@ def survey(
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.closed_loop import Noise
     from tetractl_microscope.choice.first_plans import planner, tolerance
-    from tetractl_microscope.choice.ranked import ranked, similar_pairs
+    from tetractl_microscope.choice.ranked import rank_choices, similar_pairs
     from tetractl_microscope.choice.section import Choice
-    from tetractl_microscope.handedness import handedness_lines, watch_turning
+    from tetractl_microscope.handedness import describe_handedness, watch_turning
 
     loaded = ui.load(spec, sets)
     experiment = on_plant(loaded, plant).experiment
@@ -117,7 +117,7 @@ def survey(
         ui.build_rig_of(experiment, supervision) as rig,
     ):
         cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
-    wrong, turning = handedness_lines(turned)
+    wrong, turning = describe_handedness(turned)
     ui.tell(*(f"warning: {problem}" for problem in wrong))
     pairs = list(similar_pairs(cells))
     if not as_json:
@@ -127,7 +127,7 @@ def survey(
     def report_progress(count: int, total: int) -> None:
         ui.tell(f"prediction {count} of {total}")
 
-    choices = ranked(
+    choices = rank_choices(
         experiment, cells, Noise.from_plant(loaded.experiment.plant), plans, report_progress
     )
     if as_json:

@@ -53,7 +53,10 @@ def followed(synthetic, field_known=True, organism=TETRAHYMENA, every=1, slower=
     tracker.finder.learn(first[:: max(1, len(first) // LEARNED)])
     pieces = record(synthetic).pieces if field_known else no_field
     times = slower * synthetic.times[::every]
-    seen = [tracker.see(grey, t, pieces) for grey, t in zip(pictures, times.tolist(), strict=True)]
+    seen = [
+        tracker.track_image(grey, t, pieces)
+        for grey, t in zip(pictures, times.tolist(), strict=True)
+    ]
     return Followed(tracker, every, seen)
 
 

@@ -13,18 +13,18 @@ from tetractl_microscope.cells.kernels.helix_steps import (
     DELAY,
     FLOW_X,
     FLOW_Y,
+    FULL_WEIGHT_MAX,
     HEADING,
     LEAD,
-    ODD,
+    PATH_LENGTH,
     RATE,
-    SLOWEST,
     SPEED,
-    STATES,
+    SPEED_MIN,
+    STATE_SIZE,
+    STUDENT_DOF,
     SWAY,
-    TAIL,
     TURN,
     TURN_S,
-    WAY,
     A,
     C,
     S,
@@ -65,7 +65,7 @@ def moved(m, p, seconds, field, slowest):
     m[C] = swing.real
     m[S] = swing.imag
     m[TURN] *= math.exp(-seconds / TURN_S)
-    m[WAY] += m[SPEED] * seconds
+    m[PATH_LENGTH] += m[SPEED] * seconds
     return m
 
 
@@ -80,7 +80,7 @@ def body(m, slowest):
 def slopes(function, m):
     """The derivatives of a function of the state, by differences."""
     derivatives = []
-    for step in 1e-6 * np.maximum(1.0, np.abs(m)) * np.eye(STATES):
+    for step in 1e-6 * np.maximum(1.0, np.abs(m)) * np.eye(STATE_SIZE):
         change = function(m + step) - function(m - step)
         derivatives.append(change / (2 * step.sum()))
     return np.array(derivatives).T
@@ -88,14 +88,14 @@ def slopes(function, m):
 
 def noise(m, model, walled, seconds):
     """The covariance (n, n) that a time adds, but that of turning."""
-    totals = np.zeros(STATES)
-    slowest = model[SLOWEST]
+    totals = np.zeros(STATE_SIZE)
+    slowest = model[SPEED_MIN]
     totals[:TURN] = model[:TURN] ** 2
-    totals[WAY] = model[X] ** 2
+    totals[PATH_LENGTH] = model[X] ** 2
     if m[SPEED] < slowest:
-        totals[HEADING] += helix_steps.RESTING_HEADING**2
-        totals[SPEED] += (helix_steps.RESTING_SPEED * slowest) ** 2
-    totals[HEADING] += helix_steps.WALL_TURN**2 * walled
+        totals[HEADING] += helix_steps.RESTING_HEADING_GROWTH**2
+        totals[SPEED] += (helix_steps.RESTING_SPEED_GROWTH * slowest) ** 2
+    totals[HEADING] += helix_steps.WALL_HEADING_GROWTH**2 * walled
     return np.diag(totals * seconds)
 
 
@@ -104,11 +104,11 @@ def move(m, p, model, walled, seconds, field):
     before the motion.
     """
     half = noise(m, model, walled, seconds / 2)
-    slowest = model[SLOWEST]
+    slowest = model[SPEED_MIN]
     p = p + half
     f = slopes(lambda state: moved(state, p, seconds, field, slowest), m)
     if walled:
-        f[:, [A, BIAS]] = np.eye(STATES)[:, [A, BIAS]]
+        f[:, [A, BIAS]] = np.eye(STATE_SIZE)[:, [A, BIAS]]
     after = f @ p @ f.T + half
     after[TURN, TURN] += model[TURN] ** 2 * (1 - math.exp(-2 * seconds / TURN_S))
     return moved(m, p, seconds, field, slowest), after, f
@@ -119,8 +119,8 @@ def correct(m, p, model, measured, deviation):
     one number after the other, each with the less weight the farther it is beyond ODD.
     """
     first = m
-    before = body(m, model[SLOWEST])
-    slowest = model[SLOWEST]
+    before = body(m, model[SPEED_MIN])
+    slowest = model[SPEED_MIN]
     h = slopes(lambda state: body(state, slowest), m)
     distance = 0.0
     likelihood = 0.0
@@ -132,13 +132,13 @@ def correct(m, p, model, measured, deviation):
         variance = row @ p @ row + deviation[i] ** 2
         distance += off**2 / variance
         likelihood -= math.log(variance) / 2
-        variance *= max(off**2 / variance / ODD, 1.0)
+        variance *= max(off**2 / variance / FULL_WEIGHT_MAX, 1.0)
         gain = p @ row / variance
         m = m + gain * off
         p = p - variance * np.outer(gain, gain)
-    likelihood -= (TAIL + 3) / 2 * math.log1p(distance / TAIL)
+    likelihood -= (STUDENT_DOF + 3) / 2 * math.log1p(distance / STUDENT_DOF)
     if m[SPEED] < -slowest:
-        signs = np.ones(STATES)
+        signs = np.ones(STATE_SIZE)
         signs[[SPEED, C, S]] = -1
         m = signs * m
         p = signs[:, None] * signs * p
@@ -153,10 +153,10 @@ def smooth(m, p, model, measured, deviation, pieces):
     filtered = []
     predicted = []
     for k, values in enumerate(measured):
-        f = np.eye(STATES)
+        f = np.eye(STATE_SIZE)
         if k:
             if k > 1 and pieces[k - 1][1:] != pieces[k - 2][1:]:
-                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SLOWEST]
+                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SPEED_MIN]
                 f = slopes(lambda state, change=change: switched(state, *change), m)
                 m = switched(m, *change)
                 p = f @ p @ f.T
@@ -166,7 +166,7 @@ def smooth(m, p, model, measured, deviation, pieces):
         predicted.append((m, p, f))
         if np.isfinite(values[0]):
             m, p, _, distance = correct(m, p, model, values, deviation[k])
-            assert distance < helix_path.ODD_DISTANCE
+            assert distance < helix_path.DISTANT_SQUARED
         filtered.append((m, p))
     smoothed = [filtered[-1][0]]
     for (m, p), (ahead, spread, f) in zip(filtered[-2::-1], predicted[:0:-1], strict=True):

@@ -50,7 +50,7 @@ def pictures(data: bytes) -> None:
         grey = decoded(Picture(body, 0), (SIDE, SIDE))
         if grey is None:
             continue
-        cells = tracker.see(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])
+        cells = tracker.track_image(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])
         assert len(cells) <= BLOBS_MAX
         for cell in cells:
             assert all(map(math.isfinite, (cell.x, cell.y, cell.heading, *cell.mean)))

@@ -50,7 +50,7 @@ def tracker(**changes):
 def look(tracker, renderer, poses=STANDING, times=1):
     """See some pictures of standing robots; return what the last one shows."""
     for _ in range(times):
-        looked = tracker.see(renderer.picture(lambda t_ns: poses, 0))
+        looked = tracker.track_image(renderer.picture(lambda t_ns: poses, 0))
     return looked
 
 

@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit.cli import tetractl
 from tetractl_microscope.apriltag.detect import Detector
-from tetractl_microscope.markers import INCH_MM, LABEL_MM, MARGIN_MM, PAPERS, Card, arranged, drawn
+from tetractl_microscope.markers import (
+    INCH_MM,
+    LABEL_HEIGHT_MM,
+    MARGIN_MM,
+    PAPERS,
+    Card,
+    arrange_cards,
+    draw_page,
+)
 
 from tetractl.core.errors import UsageError
 
@@ -35,8 +43,8 @@ def grey(figure):
 @pytest.mark.parametrize("paper", PAPERS)
 def test_tags_have_their_true_size_and_are_read_upright(paper):
     sightings = {}
-    for page in arranged(PAPERS[paper], TAGS):
-        picture = grey(drawn(PAPERS[paper], page))
+    for page in arrange_cards(PAPERS[paper], TAGS):
+        picture = grey(draw_page(PAPERS[paper], page))
         for sighting in Detector().find(picture):
             sightings[sighting.tag] = sighting
             mm = (sighting.corners + 0.5) * INCH_MM / DPI
@@ -51,8 +59,8 @@ def test_tags_have_their_true_size_and_are_read_upright(paper):
 @pytest.mark.parametrize("angle", [0.0, np.pi / 2, 2.0])
 def test_an_arrow_beside_the_corner_points_to_the_front(angle):
     """It points to the right of a tag that is read upright: the top is on the robot's left."""
-    (page,) = arranged(PAPERS["a4"], [Card(0, 80.0, "robot a", "front", angle)])
-    figure = drawn(PAPERS["a4"], page)
+    (page,) = arrange_cards(PAPERS["a4"], [Card(0, 80.0, "robot a", "front", angle)])
+    figure = draw_page(PAPERS["a4"], page)
     (arrow,) = [patch for patch in figure.axes[0].patches if type(patch).__name__ == "Polygon"]
     tip, left, right = arrow.get_xy()[:3]
     forward = tip - (left + right) / 2
@@ -73,7 +81,7 @@ def test_an_arrow_beside_the_corner_points_to_the_front(angle):
 def test_cards_are_on_the_paper_in_their_order_and_do_not_overlap(paper, sides):
     width, height = PAPERS[paper]
     cards = [Card(number, side, "x") for number, side in enumerate(sides)]
-    pages = list(arranged((width, height), cards))
+    pages = list(arrange_cards((width, height), cards))
     assert [card for page in pages for _, _, card in page] == cards
     for page in pages:
         boxes = []
@@ -81,8 +89,8 @@ def test_cards_are_on_the_paper_in_their_order_and_do_not_overlap(paper, sides):
             whole = 1.25 * card.side_mm
             assert x >= MARGIN_MM and x + whole <= width - MARGIN_MM + 1e-9
             assert y + whole <= height - MARGIN_MM + 1e-9
-            assert y - LABEL_MM >= 2 * MARGIN_MM - 1e-9  # the ruler is below
-            boxes.append((x, y - LABEL_MM, x + whole, y + whole))
+            assert y - LABEL_HEIGHT_MM >= 2 * MARGIN_MM - 1e-9  # the ruler is below
+            boxes.append((x, y - LABEL_HEIGHT_MM, x + whole, y + whole))
         for k, (left, low, right, top) in enumerate(boxes):
             for other_left, other_low, other_right, other_top in boxes[:k]:
                 beside = left >= other_right - 1e-9 or right <= other_left + 1e-9
@@ -91,23 +99,25 @@ def test_cards_are_on_the_paper_in_their_order_and_do_not_overlap(paper, sides):
 
 def test_a_row_and_a_page_are_used_as_far_as_tags_fit():
     side = (PAPERS["a4"][0] - 2 * MARGIN_MM) / 3 / 1.25
-    (page,) = arranged(PAPERS["a4"], [Card(number, side - 1e-6, "x") for number in range(6)])
+    (page,) = arrange_cards(PAPERS["a4"], [Card(number, side - 1e-6, "x") for number in range(6)])
     assert len({x for x, _, _ in page}) == 3 and len({y for _, y, _ in page}) == 2
-    tall = (PAPERS["a4"][1] - 3 * MARGIN_MM - LABEL_MM) / 1.25
+    tall = (PAPERS["a4"][1] - 3 * MARGIN_MM - LABEL_HEIGHT_MM) / 1.25
     wide = PAPERS["a4"][0] - 2 * MARGIN_MM
-    assert len(list(arranged((9999.0, PAPERS["a4"][1]), [Card(1, tall - 1e-6, "x")]))) == 1
-    assert len(list(arranged((PAPERS["a4"][0], 9999.0), [Card(1, wide / 1.25 - 1e-6, "x")]))) == 1
+    assert len(list(arrange_cards((9999.0, PAPERS["a4"][1]), [Card(1, tall - 1e-6, "x")]))) == 1
+    assert (
+        len(list(arrange_cards((PAPERS["a4"][0], 9999.0), [Card(1, wide / 1.25 - 1e-6, "x")]))) == 1
+    )
     for size, side in (
         ((9999.0, PAPERS["a4"][1]), tall),
         ((PAPERS["a4"][0], 9999.0), wide / 1.25),
     ):
         with pytest.raises(UsageError, match="tag 1"):
-            list(arranged(size, [Card(1, side + 1e-6, "x")]))
+            list(arrange_cards(size, [Card(1, side + 1e-6, "x")]))
 
 
 def test_the_ruler_is_100_mm_long():
-    (page,) = arranged(PAPERS["letter"], [Card(0, 50.0, "x")])
-    axes = drawn(PAPERS["letter"], page).axes[0]
+    (page,) = arrange_cards(PAPERS["letter"], [Card(0, 50.0, "x")])
+    axes = draw_page(PAPERS["letter"], page).axes[0]
     (line,) = [line for line in axes.lines if len(line.get_xdata()) == 2]
     assert np.ptp(line.get_xdata()) == pytest.approx(100.0) and np.ptp(line.get_ydata()) == 0
     assert min(line.get_xdata()) == min(line.get_ydata()) == MARGIN_MM
@@ -116,7 +126,7 @@ def test_the_ruler_is_100_mm_long():
 
 def test_a_tag_that_no_page_holds_is_refused():
     with pytest.raises(UsageError, match="tag 3: the tag of 200 mm"):
-        list(arranged(PAPERS["a4"], [Card(3, 200.0, "x")]))
+        list(arrange_cards(PAPERS["a4"], [Card(3, 200.0, "x")]))
 
 
 @pytest.mark.long

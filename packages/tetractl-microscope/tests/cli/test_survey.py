@@ -59,7 +59,7 @@ def dish(monkeypatch):
 
     monkeypatch.setattr(RigSection, "rig", lambda *_, **__: lab.plant.rig)
     monkeypatch.setattr(handedness, "watch_turning", lambda *_: (dish.cells, dish.turned))
-    monkeypatch.setattr(ranked, "ranked", predicted)
+    monkeypatch.setattr(ranked, "rank_choices", predicted)
     return dish
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.cell_checks import MAGNET_RAD, cell_checks, turning_rates
+from tetractl_microscope.cell_checks import MAGNET_MAX_RAD, cell_checks, turning_rates
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
@@ -87,7 +87,7 @@ def warnings_of_turning(direction, rate_of, seconds=3.0):
     return warnings
 
 
-@pytest.mark.parametrize("off", [-MAGNET_RAD, -0.1, 0.0, 0.1, MAGNET_RAD])
+@pytest.mark.parametrize("off", [-MAGNET_MAX_RAD, -0.1, 0.0, 0.1, MAGNET_MAX_RAD])
 @pytest.mark.parametrize("direction", [0.0, 0.5, UP, 2.5])
 def test_cells_whose_magnets_are_tilted_are_not_warned_of(direction, off):
     """Regression: 2 of 3 trials of the shipped dish warned of cells that turn away."""
@@ -109,7 +109,7 @@ def test_cells_that_do_not_turn_are_warned_of():
 def test_the_rates_of_tilted_magnets_are_those_of_all_angles_between():
     a = np.full(200, 4.0)
     phi = np.linspace(-np.pi, np.pi, 200)
-    off = np.linspace(-MAGNET_RAD, MAGNET_RAD, 301)[:, None]
+    off = np.linspace(-MAGNET_MAX_RAD, MAGNET_MAX_RAD, 301)[:, None]
     rates = a * np.sin(phi + off)
     least, greatest = turning_rates(a * np.sin(phi), a)
     np.testing.assert_allclose(least, rates.min(axis=0), atol=1e-4)

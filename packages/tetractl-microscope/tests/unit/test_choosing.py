@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import (
-    chosen_from,
-    most_alike,
+    choose_cells,
+    find_most_similar,
     rate_choice,
-    settled,
     unlikeness,
+    with_robots,
 )
 from tetractl_microscope.choice.scattered_cells import scattered_cells
 from tetractl_microscope.choice.section import Ring, choice_of
@@ -74,7 +74,7 @@ def test_the_order_and_the_unit_of_turning_rates_do_not_change_the_unlikeness(ra
 
 
 def numbers(cells):
-    return [chosen.number for chosen in chosen_from(EXPERIMENT, cells)]
+    return [chosen.number for chosen in choose_cells(EXPERIMENT, cells)]
 
 
 def test_the_cells_that_differ_are_chosen_in_the_order_of_decreasing_turning_rates():
@@ -129,7 +129,7 @@ WANTED = parse_spec(
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
 def test_wanted_cells_are_found_again_in_the_order_of_the_spec(order):
     seen = [cell(1, 3.2, 480.0), cell(2, 5.6, 320.0), cell(3, 4.4, 400.0)]
-    chosen = chosen_from(WANTED, [seen[k] for k in order])
+    chosen = choose_cells(WANTED, [seen[k] for k in order])
     assert [c.number for c in chosen] == [1, 2]
 
 
@@ -147,15 +147,15 @@ def test_wanted_cells_are_found_again_in_the_order_of_the_spec(order):
 def test_a_wanted_cell_must_be_similar_in_turning_rate_and_in_speed(a, speed, found):
     seen = [cell(1, 3.0, 500.0), cell(2, a, speed)]
     if found:
-        assert len(chosen_from(WANTED, seen)) == 2
+        assert len(choose_cells(WANTED, seen)) == 2
         return
     with pytest.raises(AbortError, match=r"rate 6.00 rad/s and speed 300 .* was not found again"):
-        chosen_from(WANTED, seen)
+        choose_cells(WANTED, seen)
 
 
 def test_chosen_cells_are_robots_at_their_places_with_targets_without_crossing_ways():
     cells = [cell(4, 5.0, 380.0, 2400.0, 900.0, 1.5), cell(9, 3.0, 420.0, 600.0, 1100.0, -2.0)]
-    experiment = settled(EXPERIMENT, cells)
+    experiment = with_robots(EXPERIMENT, cells)
     first, second = experiment.robots
     assert (first.name, first.start, first.heading) == ("cell 1", (2400.0, 900.0), 1.5)
     assert (first.a, first.speed, first.target) == (5.0, 380.0, (2500.0, 1000.0))
@@ -166,14 +166,14 @@ def test_chosen_cells_are_robots_at_their_places_with_targets_without_crossing_w
 
 
 def test_a_lost_robot_is_replaced_by_the_cell_that_is_most_similar_to_it():
-    setup = settled(EXPERIMENT, [cell(1, 5.0, 400.0), cell(2, 3.0, 500.0)]).setup
+    setup = with_robots(EXPERIMENT, [cell(1, 5.0, 400.0), cell(2, 3.0, 500.0)]).setup
     seen = [cell(7, 5.2, 390.0), cell(8, 4.6, 420.0), cell(9, 3.1, 490.0)]
-    assert most_alike(setup, 0, seen).number == 7
-    assert most_alike(setup, 1, seen).number == 9
-    assert most_alike(setup, 1, seen[:2]) is None
-    assert most_alike(setup, 0, []) is None
-    assert most_alike(setup, 0, [cell(1, 5.0, 400 * math.exp(0.31))]) is None
-    assert most_alike(setup, 0, [cell(1, 5.0, 400 * math.exp(-0.29))]) is not None
+    assert find_most_similar(setup, 0, seen).number == 7
+    assert find_most_similar(setup, 1, seen).number == 9
+    assert find_most_similar(setup, 1, seen[:2]) is None
+    assert find_most_similar(setup, 0, []) is None
+    assert find_most_similar(setup, 0, [cell(1, 5.0, 400 * math.exp(0.31))]) is None
+    assert find_most_similar(setup, 0, [cell(1, 5.0, 400 * math.exp(-0.29))]) is not None
 
 
 def test_scattered_cells_are_away_from_the_edges_and_near_the_typical_values():

@@ -8,9 +8,9 @@ import pytest
 from tetractl_microscope.choice.turn_field import manoeuvre
 from tetractl_microscope.handedness import (
     Handedness,
-    handedness,
-    handedness_lines,
-    wrong_sides,
+    describe_handedness,
+    describe_wrong_sides,
+    find_handedness,
 )
 
 from tetractl.core.clock import SECOND
@@ -52,13 +52,13 @@ DRIVEN = cache(manoeuvre(3.2, 5))
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("rotated", [0.0, 0.5, -2.0])
 def test_side_and_rotation_are_found(mirrored, rotated):
-    turning = handedness(paths(DRIVEN, mirrored, rotated), field_of(DRIVEN))
+    turning = find_handedness(paths(DRIVEN, mirrored, rotated), field_of(DRIVEN))
     assert turning.mirrored is mirrored and turning.explained > 0.9
     assert turning.cells == len(RATES)
     turned = math.pi - rotated if mirrored else rotated
     assert abs(math.remainder(turning.turned - turned, math.tau)) < 0.05 + 3 * turning.turned_sd
     assert 0 < turning.turned_sd < 0.1
-    problems, text = handedness_lines(turning)
+    problems, text = describe_handedness(turning)
     assert len(problems) == (mirrored or rotated != 0.0)
     words = "the image is mirrored" if mirrored else "rad off the field's direction"
     assert all(words in problem for problem in problems)
@@ -68,7 +68,7 @@ def test_side_and_rotation_are_found(mirrored, rotated):
 
 def test_cells_of_the_field_itself_differ_in_direction_only_by_noise():
     """The standard deviation of the rotation is that among repetitions."""
-    found = [handedness(paths(DRIVEN, seed=k), field_of(DRIVEN)) for k in range(8)]
+    found = [find_handedness(paths(DRIVEN, seed=k), field_of(DRIVEN)) for k in range(8)]
     turned = np.array([turning.turned for turning in found])
     stated = np.median([turning.turned_sd for turning in found])
     assert stated / 3 < turned.std() < 3 * stated
@@ -76,14 +76,14 @@ def test_cells_of_the_field_itself_differ_in_direction_only_by_noise():
 
 def test_cells_that_do_not_follow_the_field_are_a_problem_and_so_are_too_few():
     driven = cache(manoeuvre(3.2, 6))
-    turning = handedness(paths(driven), field_of(manoeuvre(2.3, 9)))
-    (problem,), text = handedness_lines(turning)
+    turning = find_handedness(paths(driven), field_of(manoeuvre(2.3, 9)))
+    (problem,), text = describe_handedness(turning)
     assert problem.startswith("the cells do not turn with the field")
     assert "of 7 cells" in text
-    of_two = handedness(paths(driven)[:2], field_of(driven))
+    of_two = find_handedness(paths(driven)[:2], field_of(driven))
     assert of_two is None
-    assert "fewer than 3 cells" in handedness_lines(of_two)[0][0]
-    assert handedness(paths(driven)[:3], field_of(driven)).cells == 3
+    assert "fewer than 3 cells" in describe_handedness(of_two)[0][0]
+    assert find_handedness(paths(driven)[:3], field_of(driven)).cells == 3
 
 
 def turning_by(turned, sd=0.01, mirrored=False, explained=0.9):
@@ -106,34 +106,36 @@ def turning_by(turned, sd=0.01, mirrored=False, explained=0.9):
 def test_a_rotation_is_reported_if_it_is_large_and_certain(turned, sd, rotated):
     turning = turning_by(turned, sd)
     assert turning.rotated is rotated
-    said = wrong_sides(turning, "MIRRORED", "ROTATED")
+    said = describe_wrong_sides(turning, "MIRRORED", "ROTATED")
     assert len(said) == rotated
     for line in said:
         assert f"{turned:+.2f} +- {1.96 * sd:.2f} rad off" in line
         assert line.endswith("ROTATED")
-    assert len(handedness_lines(turning)[0]) == rotated
+    assert len(describe_handedness(turning)[0]) == rotated
 
 
 @pytest.mark.parametrize("turned", [0.0, 1.0])
 def test_a_mirror_image_is_reported_whatever_its_rotation(turned):
     turning = turning_by(turned, mirrored=True)
-    (line,) = wrong_sides(turning, "MIRRORED", "ROTATED")
+    (line,) = describe_wrong_sides(turning, "MIRRORED", "ROTATED")
     assert line == "cells turn right when the field turns left: MIRRORED"
-    (line,), text = handedness_lines(turning)
+    (line,), text = describe_handedness(turning)
     assert "lab.camera.mirrored" in line
     assert text == "90 % of the turning of 5 cells is towards the mirror image of the field"
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_no_side_is_reported_of_cells_that_do_not_follow_the_field(mirrored):
-    assert wrong_sides(turning_by(1.0, mirrored=mirrored, explained=0.39), "M", "R") == []
-    assert len(wrong_sides(turning_by(1.0, mirrored=mirrored, explained=0.4), "M", "R")) == 1
-    (problem,), _ = handedness_lines(turning_by(1.0, mirrored=mirrored, explained=0.39))
+    assert describe_wrong_sides(turning_by(1.0, mirrored=mirrored, explained=0.39), "M", "R") == []
+    assert (
+        len(describe_wrong_sides(turning_by(1.0, mirrored=mirrored, explained=0.4), "M", "R")) == 1
+    )
+    (problem,), _ = describe_handedness(turning_by(1.0, mirrored=mirrored, explained=0.39))
     assert problem.startswith("the cells do not turn with the field")
 
 
 def test_the_remedy_is_the_angle_of_the_camera_or_the_coils():
-    (line,), text = handedness_lines(turning_by(-0.7, 0.05))
+    (line,), text = describe_handedness(turning_by(-0.7, 0.05))
     assert "-0.70 +- 0.10 rad" in line
     assert "lab.camera.rotation" in line and "the coils' rotation" in line
     assert text.endswith("is towards the field, -0.70 +- 0.10 rad off it")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from testkit.paths import EXAMPLES
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.choosing import chosen_from
+from tetractl_microscope.choice.choosing import choose_cells
 from tetractl_microscope.choice.closed_loop import Noise
-from tetractl_microscope.choice.ranked import RankedChoice, ranked
+from tetractl_microscope.choice.ranked import RankedChoice, rank_choices
 
 from tetractl.core.poses import Pose
 from tetractl.spec.load import load_spec
@@ -25,7 +25,7 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
         for i in range(4)
     ]
     counted = []
-    choices = ranked(
+    choices = rank_choices(
         spec.experiment,
         cells,
         Noise.from_plant(spec.experiment.plant),
@@ -43,7 +43,7 @@ def found_cell(number, a):
 def test_the_cells_of_a_trial_are_those_that_differ_most():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
-    assert [cell.number for cell in chosen_from(spec.experiment, cells)] == [2, 0]
+    assert [cell.number for cell in choose_cells(spec.experiment, cells)] == [2, 0]
 
 
 @pytest.mark.long
@@ -52,10 +52,10 @@ def test_a_choice_with_a_cell_near_the_edge_comes_last():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     noise = Noise.from_plant(spec.experiment.plant)
     cells = [found_cell(i, a) for i, a in enumerate((3.0, 4.0, 5.5))]
-    best = ranked(spec.experiment, cells, noise, 12)[0]
+    best = rank_choices(spec.experiment, cells, noise, 12)[0]
     near = best.cells[0].number
     uncertain = [replace(cell, free=cell.number != near) for cell in cells]
-    first, *others = ranked(spec.experiment, uncertain, noise, 12)
+    first, *others = rank_choices(spec.experiment, uncertain, noise, 12)
     assert near not in first.numbers
     assert np.isfinite(first.error)
     assert all(near in choice.numbers for choice in others)
@@ -66,16 +66,18 @@ def test_no_choice_has_cells_that_cannot_be_distinguished():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
     noise = Noise.from_plant(spec.experiment.plant)
-    chosen = {frozenset(choice.numbers) for choice in ranked(spec.experiment, cells, noise, 12)}
+    chosen = {
+        frozenset(choice.numbers) for choice in rank_choices(spec.experiment, cells, noise, 12)
+    }
     assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
-    assert ranked(spec.experiment, cells[:2], noise, 12) == []
+    assert rank_choices(spec.experiment, cells[:2], noise, 12) == []
 
 
 def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
     noise = Noise.from_plant(spec.experiment.plant)
-    (choice,) = ranked(spec.experiment, cells, noise, 12)
+    (choice,) = rank_choices(spec.experiment, cells, noise, 12)
     at_once = RankedChoice(spec.experiment, choice.cells, noise).along(12)
     assert choice.error == at_once.error
 

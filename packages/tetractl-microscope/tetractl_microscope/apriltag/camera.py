@@ -19,15 +19,18 @@ from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.searches import PictureSearch, stated
 
-# a tag whose size differs by this fraction is a different tag, or at a different height
-ODD_SIZE = 0.2
-HEIGHT_PX = 25.0
+SIZE_DEVIATION_MAX = 0.2
+"""Maximum relative deviation of a tag's size from the spec.
+
+Beyond this value, it is another tag, or a tag at another height.
+"""
+HEIGHT_SIDE_MIN_PX = 25.0
 """Minimum side of a tag for measuring its height [px].
 
 At 25 px, measured heights differ by up to 16 mm from place to place, at 23 px by 42 mm, and at 15
 px by 59 mm.
 """
-_MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
+_SQUARE_COMPLEX = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +67,14 @@ class Tracker:
 
     def __init__(self, section: AprilTagSection, names: Sequence[str], metres: float) -> None:
         self.robots = [entry(section.robots, name) for name in names]
-        self._on_floor = {tag.tag for tag in section.floor}
-        self._wanted = self._on_floor | {robot.tag for robot in self.robots}
+        self._floor_tags = {tag.tag for tag in section.floor}
+        self._listed_tags = self._floor_tags | {robot.tag for robot in self.robots}
         self._metres = metres
         self._detector = Detector()
         highest = max(robot.height_mm for robot in self.robots)
         self.floor = Floor(section.floor, metres, section.lens, highest)
 
-    def see(self, picture: Grey) -> Seen:
+    def track_image(self, picture: Grey) -> Seen:
         """Find the tags in a grey image (height, width), and compute the poses of the robots.
 
         If a number is seen on two tags, both are ignored: the robot with this tag is untracked, or
@@ -79,21 +82,32 @@ class Tracker:
         """
         sightings = self._detector.find(picture)
         counts = Counter(sighting.tag for sighting in sightings)
-        once = {sighting.tag: sighting for sighting in sightings if counts[sighting.tag] == 1}
-        corners = {number: once[number].corners for number in once if number in self._on_floor}
-        self.floor.see(corners, (picture.shape[1], picture.shape[0]))
-        measured = [self._robot(robot, once.get(robot.tag)) for robot in self.robots]
-        wanted = [sighting for sighting in sightings if sighting.tag in self._wanted]
+        unique_sightings = {
+            sighting.tag: sighting for sighting in sightings if counts[sighting.tag] == 1
+        }
+        corners = {
+            number: unique_sightings[number].corners
+            for number in unique_sightings
+            if number in self._floor_tags
+        }
+        self.floor.update(corners, (picture.shape[1], picture.shape[0]))
+        measured = [
+            self._locate_robot(robot, unique_sightings.get(robot.tag)) for robot in self.robots
+        ]
+        listed_sightings = [sighting for sighting in sightings if sighting.tag in self._listed_tags]
         return Seen(
             tuple(pose for pose, _ in measured),
             self._unknown_tags(sightings),
             tuple(sorted(sighting.tag for sighting in sightings)),
             tuple(size for _, size in measured),
-            max((8 * sighting.blur_px / sighting.side_px for sighting in wanted), default=None),
-            min((sighting.side_px for sighting in wanted), default=None),
+            max(
+                (8 * sighting.blur_px / sighting.side_px for sighting in listed_sightings),
+                default=None,
+            ),
+            min((sighting.side_px for sighting in listed_sightings), default=None),
         )
 
-    def _robot(
+    def _locate_robot(
         self, robot: RobotTag, sighting: Sighting | None
     ) -> tuple[Pose | None, float | None]:
         """Compute a robot's pose, and the measured side of its tag relative to `size_mm`.
@@ -105,17 +119,17 @@ class Tracker:
         if sighting is None or plane is None:
             return None, None
         corners = plane.locate(sighting.corners, robot.height_mm * MM)
-        pose, side = self._posed(corners, robot.heading_offset)
-        size = side / (robot.size_mm * MM)
-        if abs(size - 1) >= ODD_SIZE:
-            return None, size
-        stance = plane.stance(sighting.corners, robot.size_mm * MM)
+        pose, side_m = self._fit_pose(corners, robot.heading_offset)
+        relative_size = side_m / (robot.size_mm * MM)
+        if abs(relative_size - 1) >= SIZE_DEVIATION_MAX:
+            return None, relative_size
+        stance = plane.height_and_tilt(sighting.corners, robot.size_mm * MM)
         if stance is not None:
             height, tilt = stance
-            measures_height = sighting.side_px >= HEIGHT_PX
+            measures_height = sighting.side_px >= HEIGHT_SIDE_MIN_PX
             height = height / self._metres if measures_height else None
             pose = replace(pose, height=height, tilt=tilt)
-        return pose, size
+        return pose, relative_size
 
     def _unknown_tags(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
         """Compute the poses of tags that are not in the spec, as if they were on the floor.
@@ -125,34 +139,39 @@ class Tracker:
         plane = self.floor.plane
         if plane is None:
             return ()
-        unknown = (sighting for sighting in sightings if sighting.tag not in self._wanted)
-        return tuple(self._posed(plane.locate(sighting.corners), 0.0)[0] for sighting in unknown)
+        unknown = (sighting for sighting in sightings if sighting.tag not in self._listed_tags)
+        return tuple(self._fit_pose(plane.locate(sighting.corners), 0.0)[0] for sighting in unknown)
 
-    def _posed(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
+    def _fit_pose(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
         """Fit a square to four corners, shape (4, 2) [m], and turn its heading by an offset [rad].
 
         Returns:
             Its pose in the spec's length unit, and the length of its side [m].
         """
         x, y = corners.mean(axis=0) / self._metres
-        fit = np.vdot(_MODEL, corners[:, 0] + 1j * corners[:, 1]) / np.vdot(_MODEL, _MODEL).real
-        heading = math.atan2(fit.imag, fit.real) + heading_offset
+        scale_and_turn = (
+            np.vdot(_SQUARE_COMPLEX, corners[:, 0] + 1j * corners[:, 1])
+            / np.vdot(_SQUARE_COMPLEX, _SQUARE_COMPLEX).real
+        )
+        heading = math.atan2(scale_and_turn.imag, scale_and_turn.real) + heading_offset
         pose = Pose(float(x), float(y), heading)
-        return pose, float(abs(fit))
+        return pose, float(abs(scale_and_turn))
 
 
-BLURRED = 0.36  # blur [modules] above which some tags cannot be read
-SURE = 3.0  # standard deviations beyond which noise does not explain a size
-RULER_MM = 0.5  # error with which a black square's side is measured by a ruler [mm]
-HEIGHT_MM = 5.0  # error with which the height of a robot's tag is known [mm]
-MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, that is reported
+BLUR_MAX = 0.36  # maximum blur [modules] at which all tags can be read
+SIZE_SDS = 3.0  # maximum deviation of a size that noise explains [standard deviations]
+SIZE_SD_MM = 0.5  # error of the side of a tag that is measured with a ruler
+HEIGHT_SD_MM = 5.0  # error of the height of a robot's tag in the spec
+# Maximum position error of a floor tag, or of a robot because of an uncertain lens, without a
+# warning.
+POSITION_ERROR_MAX_MM = 3.0
 
 
 Finding = tuple[bool, str]
 """Whether a finding is a problem (True) or a warning (False), and its text."""
 
 
-def _findings(
+def _check_tags(
     section: AprilTagSection, tracker: Tracker, searches: Sequence[PictureSearch[Seen]]
 ) -> Iterator[Finding]:
     """Yield a finding for each problem or warning about the tags in the newest images.
@@ -163,26 +182,29 @@ def _findings(
     counts = Counter(tag for search in searches for tag in set(search.result.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
     shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(searches))
-    twice = {tag for search in searches for tag, n in Counter(search.result.tags).items() if n > 1}
-    others = f"; tags seen: {_listed(shown_tags)}"
+    repeated_tags = {
+        tag for search in searches for tag, n in Counter(search.result.tags).items() if n > 1
+    }
+    seen_tags_text = f"; tags seen: {_join_numbers(shown_tags)}"
     floor = [tag.tag for tag in section.floor]
     missing = [tag for tag in floor if tag not in shown_tags]
     if missing:
-        yield True, f"floor {_tags(missing)} not seen{others}"
-    double = [tag for tag in floor if tag in twice]
-    if double:
+        yield True, f"floor {_describe_tags(missing)} not seen{seen_tags_text}"
+    repeated_floor = [tag for tag in floor if tag in repeated_tags]
+    if repeated_floor:
         yield (
             True,
-            f"floor {_tags(double)} seen twice, but each tag number may be used only once",
+            f"floor {_describe_tags(repeated_floor)} seen twice, but each tag number may be used "
+            "only once",
         )
     plane = tracker.floor.plane or tracker.floor.misfit
     if plane is not None:
-        yield from _calibrated(section, plane)
-    above_mm = plane.above_mm if plane is not None else math.inf
+        yield from _check_calibration(section, plane)
+    camera_height_mm = plane.camera_height_mm if plane is not None else math.inf
     sides_px = stated(search.result.side_px for search in searches)
     for i, robot in enumerate(tracker.robots):
         sizes = stated(search.result.sizes[i] for search in searches)
-        if robot.tag in twice:
+        if robot.tag in repeated_tags:
             yield (
                 True,
                 (
@@ -191,35 +213,37 @@ def _findings(
                 ),
             )
         elif robot.tag not in shown_tags:
-            yield True, f"{robot.name}: the camera does not see tag {robot.tag}{others}"
+            yield True, f"{robot.name}: the camera does not see tag {robot.tag}{seen_tags_text}"
         elif sizes:
             ratio = statistics.median(sizes)
-            if _is_unexplained(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
-                off = f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
+            if _is_unexplained(
+                ratio, min(sides_px), robot.size_mm, camera_height_mm - robot.height_mm
+            ):
+                size_text = f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
                 yield (
-                    abs(ratio - 1) >= ODD_SIZE,
-                    f"{robot.name}: the tag looks {off} than the spec says: are size_mm and "
+                    abs(ratio - 1) >= SIZE_DEVIATION_MAX,
+                    f"{robot.name}: the tag looks {size_text} than the spec says: are size_mm and "
                     "height_mm right, and were all tags printed at 100 %?",
                 )
 
 
-def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
+def _check_calibration(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
     """Yield findings about the positions of the floor tags, and about a lens that they estimate.
 
-    An error above MISPLACED_MM is a warning, and one above MISFIT_MM or NaN is a problem.
+    An error above POSITION_ERROR_MAX_MM is a warning, and one above MISFIT_MM or NaN is a problem.
     """
-    if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
+    if not plane.error_max_mm <= POSITION_ERROR_MAX_MM:  # true for NaN, too
         yield (
-            not plane.worst_mm <= MISFIT_MM,
-            f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
+            not plane.error_max_mm <= MISFIT_MM,
+            f"the floor tags are up to {plane.error_max_mm:.1f} mm away from their places in "
             "lab.camera.floor: measure the tags again, and correct their fields at, size_mm "
             "and heading",
         )
-    if section.lens is None and plane.doubt_mm > MISPLACED_MM:
+    if section.lens is None and plane.lens_error_mm > POSITION_ERROR_MAX_MM:
         yield (
-            plane.doubt_mm > MISFIT_MM,
+            plane.lens_error_mm > MISFIT_MM,
             "the floor tags do not determine the lens well, so that robots may be located "
-            f"{plane.doubt_mm:.0f} mm off: tilt the camera more, or set lab.camera.lens",
+            f"{plane.lens_error_mm:.0f} mm off: tilt the camera more, or set lab.camera.lens",
         )
 
 
@@ -233,17 +257,17 @@ def _is_unexplained(ratio: float, side_px: float, size_mm: float, distance_mm: f
         distance_mm: Height of the camera above the tag [mm].
     """
     noise = CORNER_PX / math.sqrt(2) / side_px  # of a side that is fitted to four corners
-    return abs(ratio - 1) > SURE * noise + RULER_MM / size_mm + HEIGHT_MM / distance_mm
+    return abs(ratio - 1) > SIZE_SDS * noise + SIZE_SD_MM / size_mm + HEIGHT_SD_MM / distance_mm
 
 
-def _tags(numbers: Sequence[int]) -> str:
+def _describe_tags(numbers: Sequence[int]) -> str:
     """Format tag numbers as the subject of a sentence: "tag 3 is", or "tags 3, 4 are"."""
     if len(numbers) > 1:
-        return f"tags {_listed(numbers)} are"
-    return f"tag {_listed(numbers)} is"
+        return f"tags {_join_numbers(numbers)} are"
+    return f"tag {_join_numbers(numbers)} is"
 
 
-def _listed(numbers: Sequence[int]) -> str:
+def _join_numbers(numbers: Sequence[int]) -> str:
     """Join tag numbers with commas, in the order given. "none" if there are none."""
     return ", ".join(map(str, numbers)) or "none"
 
@@ -281,11 +305,11 @@ class AprilTagCamera(PictureCamera[Seen]):
         problems: list[str] = []
         warnings: list[str] = []
         plane = floor.plane or floor.misfit
-        for refuses, text in _findings(section, self._tracker, searches):
-            (problems if refuses else warnings).append(text)
+        for is_problem, message in _check_tags(section, self._tracker, searches):
+            (problems if is_problem else warnings).append(message)
         blurs = stated(search.result.blur for search in searches)
         sides = stated(search.result.side_px for search in searches)
-        if blurs and statistics.median(blurs) > BLURRED:
+        if blurs and statistics.median(blurs) > BLUR_MAX:
             warnings.append(
                 f"tags look too small or blurred, the smallest is {min(sides):.0f} px wide: "
                 "focus the lens, use larger tags or more pixels, or shorten the exposure"
@@ -301,4 +325,4 @@ class AprilTagCamera(PictureCamera[Seen]):
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:
         """Find the robots' tags in an image. `exposed_ns` is not used."""
-        return self._tracker.see(picture)
+        return self._tracker.track_image(picture)

@@ -64,20 +64,22 @@ class Detector:
         The list is empty if there are none.
         """
         # narrow pictures are enlarged, as a module is often too small to be read
-        factor = 2 if picture.shape[1] < 1000 else 1
-        searched = picture
-        if factor > 1:
-            searched = cv2.resize(
-                picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC
+        enlargement = 2 if picture.shape[1] < 1000 else 1
+        enlarged = picture
+        if enlargement > 1:
+            enlarged = cv2.resize(
+                picture, None, fx=enlargement, fy=enlargement, interpolation=cv2.INTER_CUBIC
             )
-        rough, numbers, _ = self._detector.detectMarkers(searched)
+        rough_corners, numbers, _ = self._detector.detectMarkers(enlarged)
         if numbers is None or not len(numbers):
             return []
-        corners = (np.array(rough, float).reshape(-1, 4, 2) + 0.5) / factor - 0.5
-        corners, blurs = refine_corners(picture, np.roll(corners, -self._top_left, axis=1), MODULES)
+        corners = (np.array(rough_corners, float).reshape(-1, 4, 2) + 0.5) / enlargement - 0.5
+        corners, blurs_px = refine_corners(
+            picture, np.roll(corners, -self._top_left, axis=1), MODULES
+        )
         return [
             Sighting(int(number), corners_of_tag, float(blur))
-            for number, corners_of_tag, blur in zip(numbers.ravel(), corners, blurs, strict=True)
+            for number, corners_of_tag, blur in zip(numbers.ravel(), corners, blurs_px, strict=True)
         ]
 
 
@@ -144,38 +146,45 @@ def refine_corners(
         corners. Then the blurs, shape (T,) [px]: the standard deviation of the Gaussian that blurs
         a step to the width of the sides.
     """
-    rough = corners
-    blur = np.zeros(len(corners))
-    module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
+    rough_corners = corners
+    blur_px = np.zeros(len(corners))
+    module_px = (
+        np.linalg.norm(rough_corners - np.roll(rough_corners, -1, axis=1), axis=-1).mean(axis=1)
+        / modules
+    )
     # less than a module on either side of an edge, so that only border and margin are sampled
-    offsets = 0.9 * module[:, None] * SAMPLES_ACROSS  # (T, A)
-    step = offsets[:, 1:] - offsets[:, :-1]
-    offset_middles = (offsets[:, 1:] + offsets[:, :-1])[:, None, None] / 2
+    offsets_px = 0.9 * module_px[:, None] * SAMPLES_ACROSS  # (T, A)
+    step_px = offsets_px[:, 1:] - offsets_px[:, :-1]
+    offset_middles = (offsets_px[:, 1:] + offsets_px[:, :-1])[:, None, None] / 2
     for _ in range(2):
-        side = np.roll(corners, -1, axis=1) - corners
-        side_directions = side / (np.linalg.norm(side, axis=-1, keepdims=True) + EPSILON)
+        side_vectors = np.roll(corners, -1, axis=1) - corners
+        side_directions = side_vectors / (
+            np.linalg.norm(side_vectors, axis=-1, keepdims=True) + EPSILON
+        )
         normals_out = np.stack([side_directions[..., 1], -side_directions[..., 0]], axis=-1)
         samples = (
-            corners[..., None, :] + SAMPLES_ALONG[:, None] * side[..., None, :]
+            corners[..., None, :] + SAMPLES_ALONG[:, None] * side_vectors[..., None, :]
         )  # (T, 4, S, 2)
-        normals = normals_out[:, :, None, None] * offsets[:, None, None, :, None]
-        grey = _interpolate_grey(picture, samples[..., None, :] + normals)
+        normal_offsets = normals_out[:, :, None, None] * offsets_px[:, None, None, :, None]
+        grey = _interpolate_grey(picture, samples[..., None, :] + normal_offsets)
         rises = np.maximum(np.diff(grey, axis=-1), 0.0)  # outward, black turns to white
-        weight = rises**2 + EPSILON
-        total = weight.sum(axis=-1)
-        shift = (weight * offset_middles).sum(axis=-1) / total
-        lines = _fit_lines(samples + shift[..., None] * normals_out[..., None, :], total)
+        weights = rises**2 + EPSILON
+        total_weight = weights.sum(axis=-1)
+        edge_offsets = (weights * offset_middles).sum(axis=-1) / total_weight
+        lines = _fit_lines(
+            samples + edge_offsets[..., None] * normals_out[..., None, :], total_weight
+        )
         intersections = np.cross(
             np.roll(lines, 1, axis=1), lines
         )  # neighbours, not finite if parallel
         with np.errstate(divide="ignore", invalid="ignore"):
             corners = intersections[..., :2] / intersections[..., 2:]
-        profile = rises.mean(axis=(1, 2)) / step  # grey levels per pixel
-        contrast = (profile * step).sum(axis=-1)
-        blur = contrast / (profile.max(axis=-1) + EPSILON) / np.sqrt(2 * np.pi)
-    shift_px = np.linalg.norm(corners - rough, axis=-1).max(axis=1)
-    is_refined = shift_px < 2 * module  # false for NaN too
-    return np.where(is_refined[:, None, None], corners, rough), blur
+        profile = rises.mean(axis=(1, 2)) / step_px  # grey levels per pixel
+        contrast = (profile * step_px).sum(axis=-1)
+        blur_px = contrast / (profile.max(axis=-1) + EPSILON) / np.sqrt(2 * np.pi)
+    shift_px = np.linalg.norm(corners - rough_corners, axis=-1).max(axis=1)
+    is_refined = shift_px < 2 * module_px  # false for NaN too
+    return np.where(is_refined[:, None, None], corners, rough_corners), blur_px
 
 
 def _interpolate_grey(picture: NDArray[np.uint8], points: Floats) -> Floats:

@@ -39,21 +39,21 @@ class Plane:
         matrix: The camera matrix K, shape (3, 3).
         distortion: OpenCV's distortion coefficients.
         rotation: Rotation R of the camera, shape (3, 3).
-        shift: Translation t of the camera [m], shape (3,).
+        translation: Translation t of the camera [m], shape (3,).
         error_mm: Root mean square of the errors of distances between the floor tags' corners, as
             measured and as in the spec [mm].
-        worst_mm: Largest of these errors [mm].
-        doubt_mm: Position error, at the height of the highest robot's tag, that results if the
+        error_max_mm: Largest of these errors [mm].
+        lens_error_mm: Position error, at the height of the highest robot's tag, that results if the
             estimated lens is wrong by two standard deviations [mm]. 0 if the lens is given.
     """
 
     matrix: Floats
     distortion: Floats
     rotation: Floats
-    shift: Floats
+    translation: Floats
     error_mm: float = 0.0
-    worst_mm: float = 0.0
-    doubt_mm: float = 0.0
+    error_max_mm: float = 0.0
+    lens_error_mm: float = 0.0
 
     @property
     def focal_px(self) -> float:
@@ -61,9 +61,9 @@ class Plane:
         return float(self.matrix[0, 0])
 
     @property
-    def above_mm(self) -> float:
+    def camera_height_mm(self) -> float:
         """Height of the camera above the floor [mm]."""
-        return -float(self.rotation[:, 2] @ self.shift) / MM
+        return -float(self.rotation[:, 2] @ self.translation) / MM
 
     def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
         """Convert pixels to positions at a height above the floor.
@@ -78,37 +78,41 @@ class Plane:
         flat = pixels.reshape(-1, 1, 2)
         rays = cv2.undistortPoints(flat, self.matrix, self.distortion).reshape(pixels.shape)
         directions = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) @ self.rotation
-        camera = -self.rotation.T @ self.shift
+        camera = -self.rotation.T @ self.translation
         distances = (height - camera[2]) / directions[..., 2]
         return camera[:2] + distances[..., None] * directions[..., :2]
 
-    def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
+    def height_and_tilt(self, pixels: Floats, side_m: float) -> tuple[float, float] | None:
         """Compute a tag's height above the floor [m] and its tilt against the floor [rad].
 
         Two tilts may fit a small or distant tag equally well. The smaller tilt is returned.
 
         Args:
             pixels: The tag's corners [px], shape (4, 2).
-            side: Its side [m].
+            side_m: Its side [m].
 
         Returns:
             Height and tilt. None if no pose fits.
         """
-        square = np.column_stack([side * SQUARE, np.zeros(4)])
+        square = np.column_stack([side_m * SQUARE, np.zeros(4)])
         _, rotations, translations, errors = cv2.solvePnPGeneric(
             square, pixels, self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
-        misfits = np.ravel(errors)
+        errors_px = np.ravel(errors)
         stances = [
-            self._height_and_tilt(np.asarray(rotation, float), np.asarray(translation, float))
-            for rotation, translation, misfit in zip(rotations, translations, misfits, strict=True)
-            if misfit <= misfits.min() + MISFIT_TOLERANCE_PX
+            self._to_height_and_tilt(np.asarray(rotation, float), np.asarray(translation, float))
+            for rotation, translation, misfit in zip(
+                rotations, translations, errors_px, strict=True
+            )
+            if misfit <= errors_px.min() + MISFIT_TOLERANCE_PX
         ]
         return min(stances, key=lambda stance: stance[1], default=None)
 
-    def _height_and_tilt(self, rotation_vector: Floats, translation: Floats) -> tuple[float, float]:
+    def _to_height_and_tilt(
+        self, rotation_vector: Floats, translation: Floats
+    ) -> tuple[float, float]:
         """Convert a tag's pose in camera axes to height above the floor [m] and tilt [rad]."""
-        offset = self.rotation.T @ (translation.ravel() - self.shift.ravel())
+        offset = self.rotation.T @ (translation.ravel() - self.translation.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(rotation_vector)[0][:, 2]
         tilt = np.arccos(np.clip(upward[2], -1.0, 1.0))
         return float(offset[2]), float(tilt)
@@ -130,7 +134,7 @@ def calibrate(
     positions_m: Floats,
     size: tuple[int, int],
     lens: Lens | None = None,
-    highest: float = 0.0,
+    height_max_m: float = 0.0,
 ) -> Plane:
     """Calibrate a camera: find the pose and the lens with which it sees the floor tags.
 
@@ -139,32 +143,36 @@ def calibrate(
         positions_m: Positions of these corners on the floor [m], shape (F, 4, 2).
         size: Width and height of the image [px].
         lens: The lens. None if it is unknown and must be fitted.
-        highest: Maximum height of a robot's tag above the floor [m].
+        height_max_m: Maximum height of a robot's tag above the floor [m].
     """
     points = pixels.reshape(-1, 2)
-    spots = positions_m.reshape(-1, 2)
-    middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    doubt = 0.0
+    floor_points = positions_m.reshape(-1, 2)
+    centre_px = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    lens_error_mm = 0.0
     if lens is not None:
-        matrix = _camera_matrix(lens.focal_px, lens.centre or middle)
-        plane = _find_pose(matrix, np.array(lens.distortion, float), points, spots)
+        matrix = _camera_matrix(lens.focal_px, lens.centre or centre_px)
+        plane = _find_pose(matrix, np.array(lens.distortion, float), points, floor_points)
     else:
-        scaled_lens, deviations = _fit_lens(points, spots, size[0], middle)
-        plane = _find_pose(*_lens_of(scaled_lens, size[0], middle), points, spots)
+        scaled_lens, deviations = _fit_lens(points, floor_points, size[0], centre_px)
+        plane = _find_pose(*_scaled_to_lens(scaled_lens, size[0], centre_px), points, floor_points)
         centres = pixels.mean(axis=1)
         # points between the tags, where robots may be
         middles = (centres[:, None] + centres[None]) / 2
-        positions = plane.locate(middles, highest)
+        positions = plane.locate(middles, height_max_m)
         for deviation in deviations:
             # a lens that is wrong by two standard deviations
             wrong_plane = _find_pose(
-                *_lens_of(scaled_lens + 2.0 * deviation, size[0], middle), points, spots
+                *_scaled_to_lens(scaled_lens + 2.0 * deviation, size[0], centre_px),
+                points,
+                floor_points,
             )
-            shifts = np.linalg.norm(wrong_plane.locate(middles, highest) - positions, axis=-1)
-            doubt = math.hypot(doubt, float(shifts.max()) / MM)
-    distances = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
-    error = float(np.sqrt(np.mean(distances**2)))
-    return replace(plane, error_mm=error, worst_mm=float(distances.max()), doubt_mm=doubt)
+            shifts = np.linalg.norm(wrong_plane.locate(middles, height_max_m) - positions, axis=-1)
+            lens_error_mm = math.hypot(lens_error_mm, float(shifts.max()) / MM)
+    errors_mm = np.linalg.norm(plane.locate(points) - floor_points, axis=-1) / MM
+    error_mm = float(np.sqrt(np.mean(errors_mm**2)))
+    return replace(
+        plane, error_mm=error_mm, error_max_mm=float(errors_mm.max()), lens_error_mm=lens_error_mm
+    )
 
 
 def _camera_matrix(focal: float, centre: Sequence[float]) -> Floats:
@@ -172,74 +180,81 @@ def _camera_matrix(focal: float, centre: Sequence[float]) -> Floats:
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
 
 
-def _lens_of(scaled_lens: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
+def _scaled_to_lens(
+    scaled_lens: Floats, width: int, centre_px: Sequence[float]
+) -> tuple[Floats, Floats]:
     """Compute the camera matrix K and the distortion of a lens.
 
     Args:
         scaled_lens: log(f / width) and k1, each divided by the standard deviation of its prior,
             shape (2,).
         width: Width of the image [px].
-        middle: Principal point [px].
+        centre_px: Principal point [px].
     """
     # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
     focal = width * math.exp(0.35 * scaled_lens[0])
     k1 = 0.15 * scaled_lens[1]
-    return _camera_matrix(focal, middle), np.array([k1, 0.0, 0.0, 0.0])
+    return _camera_matrix(focal, centre_px), np.array([k1, 0.0, 0.0, 0.0])
 
 
-def _find_pose(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
+def _find_pose(matrix: Floats, distortion: Floats, points: Floats, floor_points: Floats) -> Plane:
     """Find the pose of a camera with a known lens from points on the floor.
 
     Args:
         matrix: The camera matrix K, shape (3, 3).
         distortion: OpenCV's distortion coefficients.
         points: Pixels of the points, shape (M, 2).
-        spots: Positions of the points on the floor, shape (M, 2) [m].
+        floor_points: Positions of the points on the floor, shape (M, 2) [m].
     """
-    _, rotation_vector, shift = cv2.solvePnP(_to_points_on_floor(spots), points, matrix, distortion)
+    _, rotation_vector, translation = cv2.solvePnP(
+        _add_zero_height(floor_points), points, matrix, distortion
+    )
     rotation, _ = cv2.Rodrigues(rotation_vector)
-    shift_m = shift.ravel().astype(float)
-    return Plane(matrix, distortion, rotation.astype(float), shift_m)
+    translation_m = translation.ravel().astype(float)
+    return Plane(matrix, distortion, rotation.astype(float), translation_m)
 
 
 def _fit_lens(
-    points: Floats, spots: Floats, width: int, middle: Sequence[float]
+    points: Floats, floor_points: Floats, width: int, centre_px: Sequence[float]
 ) -> tuple[Floats, Floats]:
     """Fit the most probable lens of a camera from points on the floor.
 
     Args:
         points: Pixels of the points, shape (M, 2).
-        spots: Positions of the points on the floor, shape (M, 2) [m].
+        floor_points: Positions of the points on the floor, shape (M, 2) [m].
         width: Width of the image [px].
-        middle: Principal point [px].
+        centre_px: Principal point [px].
 
     Returns:
         log(f / width) and k1, shape (2,), and their standard deviations, shape (2, 2), all divided
         by the standard deviations of the priors. Each row of the second array is one standard
         deviation along an axis of the error ellipse.
     """
-    start = _find_pose(*_lens_of(np.zeros(2), width, middle), points, spots)
-    rotation_vector, _ = cv2.Rodrigues(start.rotation)
+    start_plane = _find_pose(*_scaled_to_lens(np.zeros(2), width, centre_px), points, floor_points)
+    rotation_vector, _ = cv2.Rodrigues(start_plane.rotation)
 
-    def misfit(x: Floats) -> Floats:
-        """Return the errors of the spots' pixels for pose and lens x (8,), and of the lens.
+    def residuals(pose_and_lens: Floats) -> Floats:
+        """Compute the errors of the floor points' pixels for a pose and lens (8,), and of the lens.
 
         All are in standard deviations.
         """
         pixels, _ = cv2.projectPoints(
-            _to_points_on_floor(spots), x[:3], x[3:6], *_lens_of(x[6:], width, middle)
+            _add_zero_height(floor_points),
+            pose_and_lens[:3],
+            pose_and_lens[3:6],
+            *_scaled_to_lens(pose_and_lens[6:], width, centre_px),
         )
-        return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
+        return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, pose_and_lens[6:])
 
-    initial = np.concatenate([rotation_vector.ravel(), start.shift, np.zeros(2)])
-    fit = least_squares(misfit, initial, method="lm", x_scale="jac")
+    initial = np.concatenate([rotation_vector.ravel(), start_plane.translation, np.zeros(2)])
+    fit = least_squares(residuals, initial, method="lm", x_scale="jac")
     variances, axes = np.linalg.eigh(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:])
     return fit.x[6:], np.sqrt(variances)[:, None] * axes.T
 
 
-def _to_points_on_floor(spots: Floats) -> Floats:
+def _add_zero_height(floor_points: Floats) -> Floats:
     """Convert points on the floor (M, 2) to points in space (M, 3) at height 0."""
-    return np.column_stack([spots, np.zeros(len(spots))])
+    return np.column_stack([floor_points, np.zeros(len(floor_points))])
 
 
 MOVED_PX = 3.0  # a floor tag this far from its mean position, or the camera, has been moved
@@ -259,37 +274,37 @@ class Floor:
         tags: The floor tags with their positions.
         metres: The spec's length unit [m].
         lens: The lens. None to estimate it.
-        highest_mm: Maximum height of a robot's tag [mm].
+        height_max_mm: Maximum height of a robot's tag [mm].
     """
 
     def __init__(
-        self, tags: Sequence[FloorTag], metres: float, lens: Lens | None, highest_mm: float
+        self, tags: Sequence[FloorTag], metres: float, lens: Lens | None, height_max_mm: float
     ) -> None:
         self.plane: Plane | None = None
         self.misfit: Plane | None = None
         self._numbers = [tag.tag for tag in tags]
         self._positions_m = np.array([floor_corners(tag, metres) for tag in tags])
         self._lens = lens
-        self._highest = highest_mm * MM
+        self._height_max_m = height_max_mm * MM
         self._mean_corners: Floats | None = None  # averaged corners (F, 4, 2) [px]
         self._image_count = 0
 
-    def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
+    def update(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
         """Use the floor tags that are seen exactly once in an image.
 
         Args:
             corners: The tags' corners (4, 2) [px], by tag number.
             size: Width and height of the image [px].
         """
-        by_tag = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
+        corners_by_index = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
         if self._mean_corners is not None and any(
             np.abs(tag_corners - self._mean_corners[i]).max() > MOVED_PX
-            for i, tag_corners in by_tag.items()
+            for i, tag_corners in corners_by_index.items()
         ):
             self._mean_corners = self.plane = self.misfit = None
-        if len(by_tag) < len(self._numbers):
+        if len(corners_by_index) < len(self._numbers):
             return
-        newest = np.array([by_tag[i] for i in range(len(by_tag))])
+        newest = np.array([corners_by_index[i] for i in range(len(corners_by_index))])
         if self._mean_corners is None:
             self._mean_corners = newest
             self._image_count = 0
@@ -299,7 +314,7 @@ class Floor:
         )
         if self._image_count % IMAGES_AVERAGED_MAX == 0 or self._image_count.bit_count() == 1:
             plane = calibrate(
-                self._mean_corners, self._positions_m, size, self._lens, self._highest
+                self._mean_corners, self._positions_m, size, self._lens, self._height_max_m
             )
-            fits = plane.worst_mm <= MISFIT_MM
-            self.plane, self.misfit = (plane, None) if fits else (None, plane)
+            is_accurate = plane.error_max_mm <= MISFIT_MM
+            self.plane, self.misfit = (plane, None) if is_accurate else (None, plane)

@@ -96,7 +96,7 @@ class AprilTagSection(PictureSection):
                 raise inconsistent(
                     "floor", f"tag {tag} is used twice; each tag number may be used only once"
                 )
-        if _flat([tag.at for tag in self.floor]):
+        if _are_collinear([tag.at for tag in self.floor]):
             raise inconsistent("floor", "the floor tags must not lie on one line")
         return self
 
@@ -109,13 +109,13 @@ class AprilTagSection(PictureSection):
         return entry(self.robots, name).heading_offset
 
 
-def _flat(points: Sequence[Point]) -> bool:
+def _are_collinear(points: Sequence[Point]) -> bool:
     """Decide whether points lie nearly on one line.
 
     Two different points always do.
     """
-    (x0, y0), *others = points
-    spans = [(x - x0, y - y0) for x, y in others]
-    longest = max(x * x + y * y for x, y in spans)
-    area = max(abs(ax * by - ay * bx) for ax, ay in spans for bx, by in spans)
-    return area < 0.01 * longest
+    (first_x, first_y), *other_points = points
+    offsets = [(x - first_x, y - first_y) for x, y in other_points]
+    squared_length = max(x * x + y * y for x, y in offsets)
+    area = max(abs(ax * by - ay * bx) for ax, ay in offsets for bx, by in offsets)
+    return area < 0.01 * squared_length

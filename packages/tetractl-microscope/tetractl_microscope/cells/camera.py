@@ -17,11 +17,11 @@ from tetractl.spec.lab_section import LabLimits
 from tetractl.tools.worker import drained
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
-from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines, sharpness
+from tetractl_microscope.cells.cells_health import SeenDish, cell_count, find_problems, sharpness
 from tetractl_microscope.cells.field_record import FieldSignals
-from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
-from tetractl_microscope.cells.identity_watch import SURE
-from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
+from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_REACH_UM, Piece
+from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
+from tetractl_microscope.cells.kernels.helix_steps import PATH_LENGTH, SPEED, A
 from tetractl_microscope.cells.robot_cells import RobotCell, RobotCells
 from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
@@ -31,12 +31,14 @@ from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.searches import PictureSearch
 from tetractl_microscope.pictures.whole_pictures import PictureLog
 
-LEARNED = 15  # parts of the time to learn: the background is computed from a picture of each
-LEARNED_LEAST = 7  # pictures that suffice if they come slowly
-WIDER = 1.5  # deviations found in drawn films, over the filter's: it fits no cell's noise
-MEAN_S = 2.0  # time in view from which a cell's speed is the mean over it [s]
-QUEUED_MOST = 1024  # messages kept until they are taken; the oldest are dropped beyond
-LEVEL_STEP = 8  # step between the pixels whose median is a picture's grey level
+LEARNING_PARTS = 15  # number of parts of the learning time: one image of each part is used
+LEARNING_PICTURES_MIN = 7  # minimum number of images for learning, if images arrive slowly
+# Ratio of the errors in rendered films to the filter's standard deviations. The filter does not fit
+# the noise of a cell.
+SD_FACTOR = 1.5
+MEAN_SPEED_MIN_S = 2.0  # time in view after which the mean speed is used instead of the present one
+QUEUED_MAX = 1024  # maximum number of messages in a queue; beyond it, the oldest are dropped
+LEVEL_STEP = 8  # step between the pixels whose median is the grey level of an image
 NO_CELL = -1  # number of a robot's cell before all robots were seen in one picture
 
 
@@ -45,12 +47,12 @@ class FirstSight:
     """The moment at which a track came into view.
 
     Attributes:
-        seconds: Its time [s].
-        way_um: Distance that the cell had swum until then [um].
+        seconds: Time of the image that first showed the track [s].
+        path_length_um: Distance that the cell had swum until then [um].
     """
 
     seconds: float
-    way_um: float
+    path_length_um: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +64,13 @@ class CellsInView:
     Attributes:
         cells: The cells.
         now_s: When the image was exposed [s].
-        first: For each track, since when it has been in view without a gap.
+        first_sights: For each track, since when it has been in view without a gap.
         moved_um: How far knocks have moved the content of the image [um], along its rows and up.
     """
 
     cells: Sequence[SeenCell] = ()
     now_s: float = 0.0
-    first: Mapping[int, FirstSight] = field(default_factory=dict)
+    first_sights: Mapping[int, FirstSight] = field(default_factory=dict)
     moved_um: tuple[float, float] = (0.0, 0.0)
 
     def followed_by(
@@ -81,30 +83,32 @@ class CellsInView:
             now_s: When it was exposed [s].
             shift_um: How far a knock has moved everything since the previous image [um].
         """
-        first = {
-            cell.track: self.first.get(cell.track, FirstSight(now_s, float(cell.mean[WAY])))
+        first_sights = {
+            cell.track: self.first_sights.get(
+                cell.track, FirstSight(now_s, float(cell.mean[PATH_LENGTH]))
+            )
             for cell in cells
         }
         moved_um = (self.moved_um[0] + shift_um[0], self.moved_um[1] + shift_um[1])
-        return CellsInView(cells, now_s, first, moved_um)
+        return CellsInView(cells, now_s, first_sights, moved_um)
 
     def speed(self, cell: SeenCell) -> tuple[float, float]:
         """Estimate a cell's mean speed since it came into view.
 
-        During its first MEAN_S in view, the estimate is the filter's present speed.
+        During its first MEAN_SPEED_MIN_S in view, the estimate is the filter's present speed.
 
         Returns:
             The speed and its standard deviation [um/s].
         """
-        first = self.first[cell.track]
-        seconds = self.now_s - first.seconds
-        if seconds > MEAN_S:
-            um_s = float(cell.mean[WAY] - first.way_um) / seconds
-            sd_um_s = WIDER * float(cell.sd[WAY]) / seconds
+        first_sight = self.first_sights[cell.track]
+        visible_s = self.now_s - first_sight.seconds
+        if visible_s > MEAN_SPEED_MIN_S:
+            speed_um_s = float(cell.mean[PATH_LENGTH] - first_sight.path_length_um) / visible_s
+            speed_sd_um_s = SD_FACTOR * float(cell.sd[PATH_LENGTH]) / visible_s
         else:
-            um_s = float(cell.mean[SPEED])
-            sd_um_s = WIDER * float(cell.sd[SPEED])
-        return um_s, math.hypot(sd_um_s, SPEED_ERROR * um_s)
+            speed_um_s = float(cell.mean[SPEED])
+            speed_sd_um_s = SD_FACTOR * float(cell.sd[SPEED])
+        return speed_um_s, math.hypot(speed_sd_um_s, SPEED_ERROR * speed_um_s)
 
 
 class LearningPictures:
@@ -118,7 +122,7 @@ class LearningPictures:
         self._pictures: list[Grey] = []
         self._first_ns: int | None = None
 
-    def take(self, picture: Grey, exposed_ns: int) -> list[Grey]:
+    def add(self, picture: Grey, exposed_ns: int) -> list[Grey]:
         """Add an image, if one is due.
 
         Returns:
@@ -128,25 +132,26 @@ class LearningPictures:
             self._first_ns = exposed_ns
         passed_s = (exposed_ns - self._first_ns) / SECOND
         pictures = self._pictures
-        is_due = passed_s >= len(pictures) * self._learning_s / LEARNED
+        is_due = passed_s >= len(pictures) * self._learning_s / LEARNING_PARTS
         if is_due:
             pictures = [*pictures, picture]
-        is_enough = passed_s >= self._learning_s and len(pictures) >= LEARNED_LEAST
+        is_enough = passed_s >= self._learning_s and len(pictures) >= LEARNING_PICTURES_MIN
         self._pictures = [] if is_enough else pictures
         return pictures if is_enough else []
 
 
 class PictureReports:
-    """What is reported about each image in addition to its frame.
+    """The log messages and identities that belong to each image, in addition to its frame.
 
-    These are messages `added` to the log, and how certainly the robots' cells are `identified`, for
-    a watch.
+    Attributes:
+        identities: How certainly the robots' cells are identified in each image, for `CellWatch`.
+        additions: Additional log messages of each image.
     """
 
     def __init__(self) -> None:
-        self.identified = deque[Identities](maxlen=QUEUED_MOST)
+        self.identities = deque[Identities](maxlen=QUEUED_MAX)
         self._whole = PictureLog()
-        self.added = deque[FrameAddition](maxlen=QUEUED_MOST)
+        self.additions = deque[FrameAddition](maxlen=QUEUED_MAX)
 
     def add(
         self, picture: Grey, exposed_ns: int, background: Grey | None, probability: Floats
@@ -157,11 +162,11 @@ class PictureReports:
             picture: The image.
             exposed_ns: When it was exposed [ns].
             background: The background. None while it is being learned.
-            probability: How certain the identity of each robot's cell is, shape (N,).
+            probability: Probability of the identity of each robot's cell, shape (N,).
         """
         messages = self._whole.messages(picture, exposed_ns, background)
-        self.added.append(FrameAddition(exposed_ns, messages))
-        self.identified.append(Identities(exposed_ns, probability))
+        self.additions.append(FrameAddition(exposed_ns, messages))
+        self.identities.append(Identities(exposed_ns, probability))
 
 
 class CellCamera(PictureCamera[SeenDish]):
@@ -226,7 +231,9 @@ class CellCamera(PictureCamera[SeenDish]):
         the arena's edge are not `free`.
         """
         view = self._view
-        sure = [cell for cell in view.cells if cell.has_blob and cell.probability >= SURE]
+        sure = [
+            cell for cell in view.cells if cell.has_blob and cell.probability >= KNOWN_PROBABILITY
+        ]
         return [self._candidate(cell, view) for cell in sure]
 
     def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
@@ -234,18 +241,18 @@ class CellCamera(PictureCamera[SeenDish]):
 
         It is not `free` if it is near a wall.
         """
-        um_s, sd_um_s = view.speed(cell)
-        per_um = 1e-6 / self._metres
+        speed_um_s, speed_sd_um_s = view.speed(cell)
+        unit_per_um = 1e-6 / self._metres
         a = float(cell.mean[A])
-        a_sd = math.hypot(WIDER * float(cell.sd[A]), A_ERROR * a)
+        a_sd = math.hypot(SD_FACTOR * float(cell.sd[A]), A_ERROR * a)
         is_near_wall = self._near_wall_in(view, np.array([cell.x]), np.array([cell.y]))[0]
         return RobotCandidate(
             number=cell.identity,
             pose=self._pose_of(cell, view),
             a=a,
             a_sd=a_sd,
-            speed=um_s * per_um,
-            speed_sd=sd_um_s * per_um,
+            speed=speed_um_s * unit_per_um,
+            speed_sd=speed_sd_um_s * unit_per_um,
             free=not is_near_wall,
         )
 
@@ -300,16 +307,16 @@ class CellCamera(PictureCamera[SeenDish]):
 
         Each is returned once, and the list is empty if there are none.
         """
-        return drained(self._reports.added)
+        return drained(self._reports.additions)
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
         """Create the watch on the robots' identities for a trial with this setup."""
-        return CellWatch(self, self._reports.identified, setup, limits.identity)
+        return CellWatch(self, self._reports.identities, setup, limits.identity)
 
     def _health(self, searches: Sequence[PictureSearch[SeenDish]]) -> Health:
         """Describe problems and warnings about light, focus and cells, and facts for the log."""
         width_px = named(self.section.organism).body_um[1] / self.section.um_px
-        wrong, doubtful = dish_lines(self._robots.setup.names, searches, width_px)
+        problems, warnings = find_problems(self._robots.setup.names, searches, width_px)
         facts = {
             "scale": f"{self.section.um_px:g} um/px",
             "organism": self.section.organism,
@@ -317,7 +324,7 @@ class CellCamera(PictureCamera[SeenDish]):
         }
         if searches:
             facts["cells"] = str(cell_count(searches))
-        return Health(tuple(wrong), tuple(doubtful), facts)
+        return Health(tuple(problems), tuple(warnings), facts)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
         """Learn from an image, or track the cells in it.
@@ -329,12 +336,12 @@ class CellCamera(PictureCamera[SeenDish]):
             picture = np.asarray(cv2.flip(picture, 1), np.uint8)
         finder = self._tracker.finder
         if finder.background is None:
-            pictures = self._learning.take(picture, exposed_ns)
+            pictures = self._learning.add(picture, exposed_ns)
             if pictures:
                 finder.learn(pictures)
             return None
         now_s = exposed_ns / SECOND
-        cells = self._tracker.see(picture, now_s, self._field)
+        cells = self._tracker.track_image(picture, now_s, self._field)
         columns, rows = finder.light.shift_px
         shift_um = (columns * self.section.um_px, -rows * self.section.um_px)  # rows run down
         view = self._view.followed_by(cells, now_s, shift_um)
@@ -354,7 +361,9 @@ class CellCamera(PictureCamera[SeenDish]):
             light=finder.light,
             level=float(np.median(picture[::LEVEL_STEP, ::LEVEL_STEP])),
             sharpness=sharpness(picture, cells, self.section.um_px, finder.light.contrast),
-            sure=min((cell.probability for cell in tracked if cell is not None), default=0.0),
+            certainty_min=min(
+                (cell.probability for cell in tracked if cell is not None), default=0.0
+            ),
         )
 
     def _take_robots(self, view: CellsInView) -> RobotCells:
@@ -365,9 +374,9 @@ class CellCamera(PictureCamera[SeenDish]):
         robots = self._robots
         if not robots.cells:
             robots.bind(self._nearest_to_starts(view, robots.setup))
-        mothers = {born.divided for born in self._tracker.born}
+        mother_identities = {born.mother for born in self._tracker.born}
         for cell in robots.cells:
-            if cell.number in mothers:
+            if cell.number in mother_identities:
                 cell.divided = True
         return robots
 
@@ -379,23 +388,23 @@ class CellCamera(PictureCamera[SeenDish]):
         if len(view.cells) < len(setup.names):
             return ()
         starts = setup.starts.array()[:, :2]
-        places = np.array([self._placed(view, cell.x, cell.y) for cell in view.cells])
-        gaps = np.linalg.norm(starts[:, None] - places[None], axis=-1)
-        nearest = linear_sum_assignment(gaps)[1]
-        return [view.cells[int(j)].identity for j in nearest]
+        places = np.array([self._to_spec(view, cell.x, cell.y) for cell in view.cells])
+        distances = np.linalg.norm(starts[:, None] - places[None], axis=-1)
+        nearest_indices = linear_sum_assignment(distances)[1]
+        return [view.cells[int(j)].identity for j in nearest_indices]
 
     def _pose_of(self, cell: SeenCell, view: CellsInView) -> Pose:
         """Return the pose of a cell in view in the spec's coordinates."""
-        x, y = self._placed(view, cell.x, cell.y)
+        x, y = self._to_spec(view, cell.x, cell.y)
         return Pose(x, y, cell.heading + self.section.rotation)
 
-    def _placed(self, view: CellsInView, x: Lengths, y: Lengths) -> tuple[Lengths, Lengths]:
+    def _to_spec(self, view: CellsInView, x_um: Lengths, y_um: Lengths) -> tuple[Lengths, Lengths]:
         """Convert positions in the image [um] to the spec's coordinates.
 
         These are the dish's coordinates: a knock moves neither targets nor walls.
         """
-        off_x, off_y = view.moved_um
-        return self.section.placed(x - off_x, y - off_y, self._metres)
+        shift_x_um, shift_y_um = view.moved_um
+        return self.section.placed(x_um - shift_x_um, y_um - shift_y_um, self._metres)
 
     def _near_wall(self, x: Floats, y: Floats) -> Bools:
         """Check whether a wall may turn cells at positions (R,) in the image [um].
@@ -405,13 +414,13 @@ class CellCamera(PictureCamera[SeenDish]):
         return self._near_wall_in(self._view, x, y)
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
-        """Find the positions in the image (R,) [um] that are within WALL_UM of a wall."""
-        to_edge = self._arena.depth_inside(*self._placed(view, x, y))
-        return to_edge < WALL_UM * 1e-6 / self._metres
+        """Find the positions in the image (R,) [um] that are within WALL_REACH_UM of a wall."""
+        to_edge = self._arena.depth_inside(*self._to_spec(view, x, y))
+        return to_edge < WALL_REACH_UM * 1e-6 / self._metres
 
-    def _field(self, start: float, end: float) -> Sequence[Piece]:
+    def _field(self, start_s: float, end_s: float) -> Sequence[Piece]:
         """Return the field between two times [s] in the image's axes, from the directions sent.
 
         It comes as pieces of constant field, oldest first.
         """
-        return self._sent.record(self.section.rotation).pieces(start, end)
+        return self._sent.record(self.section.rotation).pieces(start_s, end_s)

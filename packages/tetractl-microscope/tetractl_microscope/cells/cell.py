@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.kernels.helix_steps import STATES
+from tetractl_microscope.cells.kernels.helix_steps import STATE_SIZE
 
 POINT_UM = 1e-6  # length and width that stand for those of a blob without a size
 
@@ -20,16 +20,16 @@ class PathBlob(NamedTuple):
         x: x of the blob's centre [um].
         y: y of the blob's centre [um].
         axis: Direction of its long axis, mod pi [rad].
-        long: Its length [um]. NaN if the image's edge cuts it off.
-        wide: Its width [um]. NaN if the image's edge cuts it off.
+        length: Its length [um]. NaN if the image's edge cuts it off.
+        width: Its width [um]. NaN if the image's edge cuts it off.
     """
 
     seconds: float
     x: float
     y: float
     axis: float
-    long: float
-    wide: float
+    length: float
+    width: float
 
     def moved(self, x: float, y: float) -> "PathBlob":
         """Return a copy of the blob, moved by x and y [um]."""
@@ -39,18 +39,18 @@ class PathBlob(NamedTuple):
 class BodySize(NamedTuple):
     """Length and width of a cell's body as measured in images [um]."""
 
-    long: float
-    wide: float
+    length: float
+    width: float
 
     @property
     def area_um2(self) -> float:
         """Length times width [um^2], a measure for comparing the sizes of bodies and blobs."""
-        return self.long * self.wide
+        return self.length * self.width
 
 
-def _unknown() -> Floats:
+def _unknown_state() -> Floats:
     """Return a state (16,) of NaN, for a cell that the filter does not track."""
-    return np.full(STATES, np.nan)
+    return np.full(STATE_SIZE, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +84,8 @@ class SeenCell:
     y: float
     axis: float
     heading: float
-    mean: Floats = field(default_factory=_unknown)
-    sd: Floats = field(default_factory=_unknown)
+    mean: Floats = field(default_factory=_unknown_state)
+    sd: Floats = field(default_factory=_unknown_state)
     probability: float = 1.0
     has_blob: bool = True
     merged: bool = False
@@ -102,35 +102,37 @@ class SeenCell:
         """
         if self.blob_um is None:
             return self
-        middle = self.blob_um[:2]
-        off = np.array((self.x, self.y)) - middle
-        away = float(to_edge(off, *np.nan_to_num(self.blob_um[2:], nan=POINT_UM)))
-        if away <= 1.0:
+        centre = self.blob_um[:2]
+        offset = np.array((self.x, self.y)) - centre
+        relative_distance = float(
+            relative_to_edge(offset, *np.nan_to_num(self.blob_um[2:], nan=POINT_UM))
+        )
+        if relative_distance <= 1.0:
             return self
-        x, y = (middle + off / away).tolist()
+        x, y = (centre + offset / relative_distance).tolist()
         return replace(self, x=x, y=y)
 
 
-def to_edge(off: Floats, axis: Floats, long: Floats, wide: Floats) -> Floats:
+def relative_to_edge(offsets: Floats, axes: Floats, lengths: Floats, widths: Floats) -> Floats:
     """Compute the distances of points from the centres of ellipses, relative to the edges.
 
     Args:
-        off: Offsets of the points from the centres, shape (..., 2).
-        axis: Directions of the ellipses' long axes [rad].
-        long: Lengths of the ellipses, in the unit of `off`.
-        wide: Widths of the ellipses, in the unit of `off`.
+        offsets: Offsets of the points from the centres, shape (..., 2).
+        axes: Directions of the ellipses' long axes [rad].
+        lengths: Lengths of the ellipses, in the unit of `offsets`.
+        widths: Widths of the ellipses, in the unit of `offsets`.
 
     Returns:
         Each distance divided by the distance of the edge in the same direction: 1 on the edge, and
         less inside.
     """
-    along = off[..., 0] * np.cos(axis) + off[..., 1] * np.sin(axis)
-    across = off[..., 1] * np.cos(axis) - off[..., 0] * np.sin(axis)
-    return np.hypot(2 * along / long, 2 * across / wide)
+    along = offsets[..., 0] * np.cos(axes) + offsets[..., 1] * np.sin(axes)
+    across = offsets[..., 1] * np.cos(axes) - offsets[..., 0] * np.sin(axes)
+    return np.hypot(2 * along / lengths, 2 * across / widths)
 
 
 @dataclass(frozen=True, slots=True)
-class TrackName:
+class TrackIdentity:
     """The identity of the cell on a track.
 
     Attributes:
@@ -151,27 +153,27 @@ class CellAnswer:
     """The most likely assignment of cells to tracks after cells have met.
 
     Attributes:
-        named: The identity of the cell on each track.
+        tracks: The identity of the cell on each track.
         probability: Probability of this assignment.
-        met: Numbers of the cells that met.
+        met_identities: Numbers of the cells that met.
     """
 
-    named: tuple[TrackName, ...]
+    tracks: tuple[TrackIdentity, ...]
     probability: float
-    met: tuple[int, ...]
+    met_identities: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Born:
+class CellBirth:
     """A cell that appears on a new track.
 
     Attributes:
         identity: Number of the cell.
         track: Number of the track.
-        divided: Number of the cell from whose blob the new cell separated, if no other cell had
+        mother: Number of the cell from whose blob the new cell separated, if no other cell had
             entered that blob. Otherwise None.
     """
 
     identity: int
     track: int
-    divided: int | None
+    mother: int | None

@@ -12,21 +12,22 @@ from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.helix import HelixFilter
 
-SURE = 0.998  # probability at which a question ends
-LEAST_S = 0.5  # shortest time for which a question is open
-PATIENCE_S = 10.0  # longest
-SETTLED_S = 0.3  # time after which the rows of a question have settled on their tracks
-# exponent of likelihoods, since errors of successive pictures are not independent, and the most
-# that one picture says against a cell
-TEMPER = 0.3
-WORSE = 4.0
-# degrees of freedom (Student's t) of places and of the logarithms of sizes; scale of a place in the
-# filter's standard deviations: how cells swim while they share a blob is known less well than that
-TAIL = 2.0
-WIDER = 1.4
-SIZE_SD = 0.1  # scale of the log of a size
-SIZED = 6  # number of pictures in which sizes count
-TURNS = 0.2  # probability that a cell has turned by itself while it was with others
+DECIDED_PROBABILITY = 0.998  # probability of an assignment above which a question is decided
+OPEN_MIN_S = 0.5  # minimum time for which a question is open
+OPEN_MAX_S = 10.0  # maximum time for which a question is open
+SETTLED_S = 0.3  # time after which the filter rows of a question have settled on their tracks
+# Exponent of likelihoods. Errors of successive images are not independent.
+LIKELIHOOD_EXPONENT = 0.3
+# Maximum by which one image lowers the log-likelihood of a cell, relative to the likeliest cell.
+LOG_PENALTY_MAX = 4.0
+# Degrees of freedom of Student's t distribution of positions and of the logarithms of sizes.
+STUDENT_DOF = 2.0
+# Factor on the filter's standard deviations of positions. The filter does not know well how cells
+# swim while they share a blob.
+SPREAD_FACTOR = 1.4
+LOG_SIZE_SD = 0.1  # scale of the distribution of the logarithm of a size
+SIZE_IMAGES = 6  # number of images of a question in which sizes count
+SELF_TURN_PROBABILITY = 0.2  # probability that a cell turns by itself while it is with others
 
 
 @dataclass(slots=True)
@@ -34,11 +35,11 @@ class TrackBlob:
     """The blob that shows a cell in the newest image.
 
     Attributes:
-        index: Its index among the image's blobs.
-        blob: The blob.
-        place: x, y [um], axis [rad], length and width [um], shape (5,).
-        is_shared: Whether it also shows other tracked cells.
-        is_large: Whether it is the cell's own blob, but too large for one cell.
+        index: Index of the blob among the image's blobs.
+        blob: The blob as found in the image [px].
+        place: x, y [um], axis [rad], length and width [um] of the blob, shape (5,).
+        is_shared: Whether the blob also shows other tracked cells.
+        is_large: Whether the blob shows only this tracked cell, but is too large for one cell.
     """
 
     index: int
@@ -66,43 +67,45 @@ class CellTrack:
         number: Number of the track.
         row: Row of the filter that predicts the cell.
         size: Size of the cell.
-        last: Position of its last blob [um], shape (2,).
-        path: Its newest blobs that show only this cell.
-        missed_s: Time since its last blob [s].
-        newest: Its blob in the newest image. None if it has none.
-        size_seen_s: When a blob of its own last had the cell's size [s]. The size of a blob shows
-            how many cells it contains.
-        start: Its first position [um], shape (2,). None once it has swum far enough.
+        last_um: Position of the cell's last blob [um], shape (2,).
+        path: The newest blobs that show only this cell.
+        missed_s: Time since the cell's last blob [s].
+        newest_blob: The cell's blob in the newest image. None if no blob shows the cell.
+        size_seen_s: When a blob that shows only this cell last had the cell's size [s]. The size
+            of a blob shows how many cells it contains.
+        start_um: First position of the cell [um], shape (2,). None once the cell has swum far
+            enough to be accepted as a cell.
         began_s: When the track began [s].
         outliers_in_row: Number of successive blobs far from the filter's prediction.
-        identity: Number of the cell that is most probably on the track; see `Names`.
+        identity: Number of the cell that is most probably on the track; see `CellIdentities`.
         certainty: Probability of that identity while the track is in no meeting and no question.
-        meeting: The meeting that it takes part in. None if there is none.
-        question: The open question about its identity. None if there is none.
-        together_s: When it was last too close to another cell to be distinguished [s].
+        meeting: The meeting of the track with others. None if there is none.
+        question: The open question about the track's identity. None if there is none.
+        together_s: When the cell was last too close to another cell to be distinguished [s].
+            Minus infinity if it never was.
     """
 
     number: int
     row: int
     size: BodySize
-    last: Floats
+    last_um: Floats
     path: list[PathBlob] = field(default_factory=list)
     missed_s: float = 0.0
-    newest: TrackBlob | None = None  # in the newest picture
+    newest_blob: TrackBlob | None = None
     size_seen_s: float = 0.0
-    start: Floats | None = None
+    start_um: Floats | None = None
     began_s: float = 0.0
     outliers_in_row: int = 0
     identity: int = 0
     certainty: float = 1.0
     meeting: "Meeting | None" = None
-    question: "WhichIsWhich | None" = None
+    question: "IdentityQuestion | None" = None
     together_s: float = -math.inf
 
     @property
     def is_new(self) -> bool:
-        """Whether the cell has not yet swum as far as a cell must."""
-        return self.start is not None
+        """Whether the cell has not yet swum far enough to be accepted as a cell."""
+        return self.start_um is not None
 
     @property
     def is_shared(self) -> bool:
@@ -110,7 +113,7 @@ class CellTrack:
 
         It is False if no blob shows the cell.
         """
-        return self.newest is not None and self.newest.is_shared
+        return self.newest_blob is not None and self.newest_blob.is_shared
 
     @property
     def rows(self) -> Sequence[int]:
@@ -122,13 +125,13 @@ class CellTrack:
             return [self.row]
         return self.question.rows[self.question.tracks.index(self)].tolist()
 
-    def shift(self, x: float, y: float) -> None:
+    def move_by(self, x: float, y: float) -> None:
         """Move all stored positions by x and y [um], with the content of the image."""
         self.path = [blob.moved(x, y) for blob in self.path]
-        by_um = np.array((x, y))
-        self.last = self.last + by_um
-        if self.start is not None:
-            self.start = self.start + by_um
+        shift_um = np.array((x, y))
+        self.last_um = self.last_um + shift_um
+        if self.start_um is not None:
+            self.start_um = self.start_um + shift_um
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,14 +141,14 @@ class Member:
     Attributes:
         track: The track.
         row: The filter's row that predicts the cell without measurements.
-        name: Number of the cell.
+        identity: Number of the cell.
         certainty: Probability that it is this cell.
         size: Size of the cell.
     """
 
     track: CellTrack
     row: int
-    name: int
+    identity: int
     certainty: float
     size: BodySize
 
@@ -174,133 +177,153 @@ class Meeting:
 
 
 @dataclass(slots=True, eq=False)
-class WhichIsWhich:
+class IdentityQuestion:
     """The open question of which cell is on which track, after K cells were in a meeting.
 
     Attributes:
         members: The K cells and tracks.
-        rows: The filter's row that follows track t as cell n, shape (K, K).
-        prior: Log-probability of each assignment in `orders` when the question arose, shape (P,).
-        not_unknown: Probability that the cell, and not an unknown object, is on the track, (K, K).
+        rows: `rows[i, j]` is the filter row that follows track i as cell j, shape (K, K).
+        log_prior: Log-probability of each of `assignments` when the question arose, shape (P,).
+        known_probability: `known_probability[i, j]` is the probability that cell j, and not an
+            unknown object, is on track i if one of them is, shape (K, K).
         since_s: When the question arose [s].
-        likelihood: Sum of the log-likelihoods of each of `rows`, shape (K, K).
-        orders: The possible assignments, shape (P, K).
+        log_likelihoods: Sum of the log-likelihoods of the measurements for each of `rows`, shape
+            (K, K).
+        assignments: The possible assignments, shape (P, K): the index of the cell on each track.
     """
 
     members: Sequence[Member]
     rows: np.ndarray
-    prior: Floats
-    not_unknown: Floats
+    log_prior: Floats
+    known_probability: Floats
     since_s: float
-    likelihood: Floats = field(init=False)
-    orders: np.ndarray = field(init=False)
-    _sized: np.ndarray = field(init=False)
+    log_likelihoods: Floats = field(init=False)
+    assignments: np.ndarray = field(init=False)
+    _n_sizes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        self.likelihood = np.zeros(self.rows.shape)
-        self.orders = orders(len(self.members))
-        self._sized = np.zeros(len(self.members), int)
+        self.log_likelihoods = np.zeros(self.rows.shape)
+        self.assignments = all_assignments(len(self.members))
+        self._n_sizes = np.zeros(len(self.members), int)
 
     @property
     def tracks(self) -> list[CellTrack]:
         """The tracks that have separated, and for which it is open which cell is which."""
         return [member.track for member in self.members]
 
-    def add(
-        self, track: CellTrack, likelihood: Floats, size: Sequence[float] | None, seconds: float
+    def add_measurement(
+        self,
+        track: CellTrack,
+        log_likelihoods: Floats,
+        size: Sequence[float] | None,
+        seconds: float,
     ) -> None:
         """Add a measurement of a track from one image.
 
-        Measurements count once the filter's rows have settled on the track, because the beginning
-        is part of the prior.
+        The likelihood counts only after SETTLED_S, when the filter rows have settled on the track.
+        The measurements before are part of the prior.
 
         Args:
             track: The track.
-            likelihood: Log-likelihood of the measurement for each cell, shape (K,).
+            log_likelihoods: Log-likelihood of the measurement for each cell, shape (K,).
             size: Length and width of the blob [um]. None if it is cut off.
             seconds: Time of the image [s].
         """
-        t = self.tracks.index(track)
+        i = self.tracks.index(track)
         if seconds - self.since_s > SETTLED_S:
-            self.likelihood[t] += TEMPER * np.maximum(likelihood - likelihood.max(), -WORSE)
-        if size is not None and self._sized[t] < SIZED:
-            self._sized[t] += 1
+            self.log_likelihoods[i] += LIKELIHOOD_EXPONENT * np.maximum(
+                log_likelihoods - log_likelihoods.max(), -LOG_PENALTY_MAX
+            )
+        if size is not None and self._n_sizes[i] < SIZE_IMAGES:
+            self._n_sizes[i] += 1
             sizes = np.array([member.size for member in self.members])
-            squared = np.square(np.log(np.array(size) / sizes) / SIZE_SD)
-            log_likelihoods = -(TAIL + 1) / 2 * np.log1p(squared / TAIL).sum(axis=1)
-            self.likelihood[t] += log_likelihoods / SIZED
+            squared_deviations = np.square(np.log(np.array(size) / sizes) / LOG_SIZE_SD)
+            size_likelihoods = (
+                -(STUDENT_DOF + 1) / 2 * np.log1p(squared_deviations / STUDENT_DOF).sum(axis=1)
+            )
+            self.log_likelihoods[i] += size_likelihoods / SIZE_IMAGES
 
     def probabilities(self) -> Floats:
-        """Compute the probability of each assignment in `orders`, shape (P,)."""
-        return normalised(self.prior + log_of_each(self.orders, self.likelihood))
+        """Compute the probability of each assignment in `assignments`, shape (P,)."""
+        return to_probabilities(
+            self.log_prior + log_assignment_probabilities(self.assignments, self.log_likelihoods)
+        )
 
-    def best(self) -> tuple[tuple[int, ...], Floats]:
+    def best_assignment(self) -> tuple[tuple[int, ...], Floats]:
         """Find the most probable assignment.
 
         Returns:
             The index of the cell on each track, and for each track the probability that this cell
             is on it, shape (K,).
         """
-        shares = self.probabilities()
-        order = self.orders[int(np.argmax(shares))]
-        not_unknown = self.not_unknown[np.arange(len(order)), order]
-        return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
+        probabilities = self.probabilities()
+        assignment = self.assignments[int(np.argmax(probabilities))]
+        not_unknown = self.known_probability[np.arange(len(assignment)), assignment]
+        return tuple(assignment.tolist()), not_unknown * (
+            probabilities @ (self.assignments == assignment)
+        )
 
-    def ends(self, now_s: float) -> bool:
-        """Check whether the question is answered at a time [s].
+    def is_decided(self, now_s: float) -> bool:
+        """Check whether the question can be closed at a time [s].
 
-        It is if the answer is certain enough after LEAST_S seconds, and in any case after
-        PATIENCE_S.
+        The question is decided if its best answer is certain enough after OPEN_MIN_S, and in any
+        case after OPEN_MAX_S.
         """
         open_s = now_s - self.since_s
-        return open_s > PATIENCE_S or (open_s > LEAST_S and self.probabilities().max() > SURE)
+        return open_s > OPEN_MAX_S or (
+            open_s > OPEN_MIN_S and self.probabilities().max() > DECIDED_PROBABILITY
+        )
 
 
-def orders(tracks: int) -> np.ndarray:
+def all_assignments(n_tracks: int) -> np.ndarray:
     """Return all assignments of n cells to n tracks, shape (n!, n).
 
-    Column t of a row is the index of the cell that track t shows.
+    Column i contains the index of the cell that track i shows.
     """
-    all_orders = list(permutations(range(tracks)))
-    return np.array(all_orders, int).reshape(-1, tracks)
+    permuted = list(permutations(range(n_tracks)))
+    return np.array(permuted, int).reshape(-1, n_tracks)
 
 
-def log_of_each(orders: np.ndarray, table: Floats) -> Floats:
+def log_assignment_probabilities(assignments: np.ndarray, log_table: Floats) -> Floats:
     """Compute the log-probability of each assignment, up to a constant.
 
     Args:
-        orders: The assignments, shape (P, K).
-        table: Log-probability of each cell (columns) on each track (rows), shape (K, K).
+        assignments: The assignments, shape (P, K).
+        log_table: Log-probability of each cell (columns) on each track (rows), shape (K, K).
 
     Returns:
-        The sum of `table[t, orders[p, t]]` over t, shape (P,).
+        The sum of `log_table[i, assignments[p, i]]` over i, shape (P,).
     """
-    return table[np.arange(len(table)), orders].sum(axis=1)
+    return log_table[np.arange(len(log_table)), assignments].sum(axis=1)
 
 
-def normalised(logs: Floats) -> Floats:
+def to_probabilities(log_probabilities: Floats) -> Floats:
     """Convert log-probabilities, known up to a constant, to probabilities that add up to 1."""
-    shares = np.exp(logs - logs.max())
-    return shares / shares.sum()
+    probabilities = np.exp(log_probabilities - log_probabilities.max())
+    return probabilities / probabilities.sum()
 
 
 def log_densities(
-    bank: HelixFilter, rows: Sequence[int], places: Floats, sd_um: Floats, unknown: float
+    cell_filter: HelixFilter, rows: Sequence[int], places: Floats, sd_um: Floats, log_unknown: float
 ) -> Floats:
     """Compute the log-density of cells at given places [1/um^2], shape (K, M).
 
     Args:
-        bank: The filter.
-        rows: The cells' rows, M of them.
-        places: The places, shape (K, 3).
-        sd_um: Additional standard deviations of the places [um], shape (K,).
-        unknown: Log-density of a cell that may have been anywhere, because a cell may have turned
-            by itself.
+        cell_filter: The filter.
+        rows: Filter rows of the M cells.
+        places: The places, shape (K, 3): x, y [um] and axis [rad].
+        sd_um: Additional standard deviations of the positions [um], shape (K,).
+        log_unknown: Log-density [ln of 1/um^2] of an object that may be anywhere near. A cell that
+            has turned by itself counts as such an object.
     """
-    expected, spread = bank.expected(np.array(rows, int))
-    spread = WIDER**2 * (spread + np.square(sd_um)[:, None, None, None] * np.eye(2))
-    off = places[:, None, :2] - expected[None, :, :2]
-    squared = np.einsum("tij,tijk,tik->ti", off, np.linalg.inv(spread), off)
-    logs = -(TAIL + 2) / 2 * np.log1p(squared / TAIL) - math.log(math.tau)
-    logs -= 0.5 * np.linalg.slogdet(spread)[1]
-    return np.logaddexp(logs, unknown + math.log(TURNS))
+    expected, covariances = cell_filter.predict_bodies(np.array(rows, int))
+    covariances = SPREAD_FACTOR**2 * (
+        covariances + np.square(sd_um)[:, None, None, None] * np.eye(2)
+    )
+    offsets = places[:, None, :2] - expected[None, :, :2]
+    squared_distances = np.einsum("tij,tijk,tik->ti", offsets, np.linalg.inv(covariances), offsets)
+    log_density = -(STUDENT_DOF + 2) / 2 * np.log1p(squared_distances / STUDENT_DOF) - math.log(
+        math.tau
+    )
+    log_density -= 0.5 * np.linalg.slogdet(covariances)[1]
+    return np.logaddexp(log_density, log_unknown + math.log(SELF_TURN_PROBABILITY))

@@ -13,7 +13,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note
 from tetractl_microscope.cells.identity_watch import IdentityWatch
-from tetractl_microscope.choice.choosing import most_alike
+from tetractl_microscope.choice.choosing import find_most_similar
 from tetractl_microscope.choice.dish_abilities import TracksCells
 
 
@@ -60,7 +60,7 @@ class CellWatch:
         while self._waiting and self._waiting[0].exposed_ns <= sampled_ns:
             identities = self._waiting.popleft()
             if identities.exposed_ns == sampled_ns:
-                yield from self._identities.see(sampled_ns, identities.probability)
+                yield from self._identities.update(sampled_ns, identities.probability)
 
     def lost(self) -> Iterator[Lose]:
         """Yield each robot whose cell has divided or cannot be identified."""
@@ -69,8 +69,8 @@ class CellWatch:
             yield Lose(
                 robot, f"{name} has divided, or has parted from an unknown cell that it had met"
             )
-        for robot, why in self._identities.unknown.items():
-            yield Lose(robot, why)
+        for robot, reason in self._identities.unknown.items():
+            yield Lose(robot, reason)
 
     def replace(self, robot: int) -> str:
         """Steer the most similar free cell instead of a lost robot.
@@ -78,15 +78,15 @@ class CellWatch:
         Returns:
             A text about that cell. Empty if no free cell is similar.
         """
-        free = [
+        free_cells = [
             cell
             for cell in self._camera.candidates()
             if cell.magnetised and cell.free and cell.number not in self._camera.robots
         ]
-        candidate = most_alike(self._setup, robot, free)
+        candidate = find_most_similar(self._setup, robot, free_cells)
         if candidate is None:
             return ""
         self._camera.replace(robot, candidate.number)
         self._identities.forget(robot)
-        what = f"a {candidate.a:.2f} rad/s, speed {candidate.speed:.0f} {self._setup.unit}/s"
-        return f"is now another cell: {what}"
+        description = f"a {candidate.a:.2f} rad/s, speed {candidate.speed:.0f} {self._setup.unit}/s"
+        return f"is now another cell: {description}"

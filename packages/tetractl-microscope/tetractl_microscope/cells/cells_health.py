@@ -10,22 +10,23 @@ import numpy as np
 from tetractl.core.poses import Grey, Pose
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
-from tetractl_microscope.cells.identity_watch import SURE
+from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
 from tetractl_microscope.cells.robot_cells import RobotCells
 from tetractl_microscope.pictures.searches import PictureSearch, stated
 
-DARK = 12.0  # median grey level at which a picture is too dark
-SATURATED = 245.0  # too bright
-FAINT = 1.5  # ratio of cells' contrast to the least contrast, below which some are missed
-# sharpness of rims, 1 / width [1/px], below which a warning is given: drawn cells in focus have
-# 0.4, those blurred by a normal distribution of 3 px have 0.15
-BLURRED = 0.15
-SHARP_CELLS = 8  # of whose rims the sharpness is measured
-SHARP_REACH = 0.7  # half the side of what is examined about a cell's middle [its lengths]
-SHARP_SIDE_PX = 6  # that side, above which it is examined
-STEEPEST = 0.98  # quantile of the slopes there that is the steepest one, but for noise
-SOBEL = 8  # sum of the weights of Sobel's operator, which returns so many times the slope
-SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
+DARK_LEVEL = 12.0  # median grey level at which a picture is too dark
+SATURATED_LEVEL = 245.0  # median grey level at which an image is too bright
+# Ratio of the cells' contrast to the minimum for detection, below which some cells are missed.
+FAINT_RATIO = 1.5
+# Minimum sharpness of cells' edges, 1 / width [1/px], without a warning. Rendered cells in focus
+# have 0.4, and cells blurred by a Gaussian of 3 px have 0.15.
+SHARPNESS_MIN = 0.15
+SHARPNESS_CELLS = 8  # maximum number of cells whose edges are measured
+SHARPNESS_REACH = 0.7  # half the side of the square that is examined around a cell [its lengths]
+SHARPNESS_SIDE_PX = 6  # minimum side of this square within the image
+STEEPEST_QUANTILE = 0.98  # quantile of the slopes in the square that counts as the steepest slope
+SOBEL_WEIGHT = 8  # factor by which Sobel's operator multiplies the slope
+WIDTH_MIN_PX = 8.0  # minimum width of a cell in an image without a warning
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class SeenDish:
         light: Brightness, noise and contrast of the image.
         level: Median grey level.
         sharpness: Sharpness of the cells' edges [1/px]. None if unknown.
-        sure: Minimum probability of the identity of a robot in view. 0 if none is in view.
+        certainty_min: Minimum probability of the identity of a robot in view. 0 if none is in view.
     """
 
     robots: RobotCells
@@ -48,7 +49,7 @@ class SeenDish:
     light: Light
     level: float
     sharpness: float | None
-    sure: float
+    certainty_min: float
 
 
 def sharpness(
@@ -70,21 +71,21 @@ def sharpness(
     """
     if not contrast:
         return None
-    steepest = list[float]()
-    for cell in cells[:SHARP_CELLS]:
+    steepest_slopes = list[float]()
+    for cell in cells[:SHARPNESS_CELLS]:
         column = round(cell.x / um_px)
         row = round(picture.shape[0] - cell.y / um_px)
-        reach = round(SHARP_REACH * cell.long_um / um_px)
-        part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
-        if min(part.shape) > SHARP_SIDE_PX:
-            along_rows = cv2.Sobel(part, cv2.CV_32F, 1, 0)
-            along_columns = cv2.Sobel(part, cv2.CV_32F, 0, 1)
-            slopes = np.hypot(along_rows, along_columns) / SOBEL
-            steepest.append(float(np.quantile(slopes, STEEPEST)) / contrast)
-    return statistics.median(steepest) if steepest else None
+        reach = round(SHARPNESS_REACH * cell.long_um / um_px)
+        region = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
+        if min(region.shape) > SHARPNESS_SIDE_PX:
+            along_rows = cv2.Sobel(region, cv2.CV_32F, 1, 0)
+            along_columns = cv2.Sobel(region, cv2.CV_32F, 0, 1)
+            slopes = np.hypot(along_rows, along_columns) / SOBEL_WEIGHT
+            steepest_slopes.append(float(np.quantile(slopes, STEEPEST_QUANTILE)) / contrast)
+    return statistics.median(steepest_slopes) if steepest_slopes else None
 
 
-def dish_lines(
+def find_problems(
     names: Sequence[str], searches: Sequence[PictureSearch[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
     """Find problems and warnings about light, focus and cells in the last images.
@@ -103,69 +104,70 @@ def dish_lines(
     problems = list[str]()
     warnings = list[str]()
     level = statistics.median(search.result.level for search in searches)
-    if level < DARK:
+    if level < DARK_LEVEL:
         problems.append(f"the image is black (median {level:.0f} of 255): is the lamp on?")
-    elif level > SATURATED:
+    elif level > SATURATED_LEVEL:
         problems.append(
             f"the image is saturated (median {level:.0f} of 255): use less light or a shorter "
             "exposure"
         )
     if newest.light.lost:
+        changed_percent = 100 * newest.light.changed_fraction
         problems.append(
-            f"{100 * newest.light.changed:.0f} % of the image differs from the background: was "
-            "the stage or the lamp moved? Start again"
+            f"{changed_percent:.0f} % of the image differs from the background: was the stage or "
+            "the lamp moved? Start again"
         )
-    lost = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
-    if lost:
+    untracked = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
+    if untracked:
         problems.append(
-            f"{', '.join(lost)} not tracked: {cell_count(searches)} cells are in view, but "
+            f"{', '.join(untracked)} not tracked: {cell_count(searches)} cells are in view, but "
             f"{len(names)} are needed"
         )
-    elif newest.sure < SURE:
+    elif newest.certainty_min < KNOWN_PROBABILITY:
         warnings.append(
             "cells have met, and it is uncertain which cell is which: let the field turn a few "
             "times"
         )
     contrasts = stated(search.result.light.contrast for search in searches)
     contrast = statistics.median(contrasts) if contrasts else None
-    faint = faint_line(contrast, newest.light.limit)
-    if faint is not None and not newest.light.lost:
-        warnings.append(faint)
-    sharp = stated(search.result.sharpness for search in searches)
-    if sharp and statistics.median(sharp) < BLURRED:
+    faint_warning = describe_faint_cells(contrast, newest.light.contrast_min)
+    if faint_warning is not None and not newest.light.lost:
+        warnings.append(faint_warning)
+    sharpnesses = stated(search.result.sharpness for search in searches)
+    if sharpnesses and statistics.median(sharpnesses) < SHARPNESS_MIN:
         warnings.append(
             "the outlines of the cells are blurred: focus the microscope, or shorten the exposure"
         )
-    if width_px < SMALL_PX:
+    if width_px < WIDTH_MIN_PX:
         warnings.append(
-            f"a cell is only {width_px:.0f} px wide, but at least {SMALL_PX:.0f} px are needed"
+            f"a cell is only {width_px:.0f} px wide, but at least {WIDTH_MIN_PX:.0f} px are needed"
         )
     return problems, warnings
 
 
-def faint_line(contrast: float | None, limit: float) -> str | None:
+def describe_faint_cells(contrast: float | None, contrast_min: float) -> str | None:
     """Warn if the contrast of objects is so low that cells may be missed.
 
     Args:
         contrast: Median contrast of the objects [grey levels]. None without objects.
-        limit: Minimum contrast at which an object is found [grey levels].
+        contrast_min: Minimum contrast at which an object is found [grey levels].
 
     Returns:
         The warning. None if the contrast is high enough.
     """
     if contrast is None:
-        said = (
-            f"no object differs from the medium by {limit:.0f} grey levels, the minimum for "
+        problem = (
+            f"no object differs from the medium by {contrast_min:.0f} grey levels, the minimum for "
             "detection"
         )
-    elif contrast < FAINT * limit:
-        said = (
+    elif contrast < FAINT_RATIO * contrast_min:
+        problem = (
             f"objects differ from the medium by a median of {contrast:.0f} grey levels, and "
-            f"objects below {limit:.0f} are missed"
+            f"objects below {contrast_min:.0f} are missed"
         )
     else:
         return None
-    return f"{said}: use more light, a smaller aperture or phase contrast"
+    return f"{problem}: use more light, a smaller aperture or phase contrast"
 
 
 def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:

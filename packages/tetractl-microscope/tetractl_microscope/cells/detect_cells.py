@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats, Grey
-from tetractl_microscope.cells.knocks import moved, shift_of
+from tetractl_microscope.cells.knocks import find_shift, shift_picture
 
 STRIPE_COUNT = 16
 """Number of horizontal stripes of the background. Each image updates one of them."""
@@ -58,19 +58,20 @@ NEXT_PEAK_FRACTION = 0.5
 """Minimum peak of a further body in a region, as a fraction of the largest peak."""
 KNOCK_CHANGE = 1.1, 0.0003
 """Factor on the usual changed fraction, and a term added to it. A larger change may be a knock."""
-USUAL_SHARE = 0.05
+USUAL_WEIGHT = 0.05
 """Weight of an image in the mean changed fraction: a time constant of 20 images. Chosen by hand."""
-GAIN_LEAST = 0.05
-GAIN_MOST = 20.0
-"""Brightness relative to the background, up to which an image is scaled. GAIN_LEAST is the minimum.
+GAIN_MIN = 0.05
+"""Minimum brightness relative to the background at which an image is scaled; see GAIN_MAX."""
+GAIN_MAX = 20.0
+"""Maximum brightness relative to the background at which an image is scaled.
 
-Beyond these values, the image or the background is nearly black, and the image is compared without
-scaling. The values were chosen by hand; no lamp is adjusted that far.
+Beyond GAIN_MIN and GAIN_MAX, the image or the background is nearly black, and the image is compared
+without scaling. The values were chosen by hand; no lamp is adjusted that far.
 """
 NORMAL_MAD = 1.48
 """Standard deviation of normal noise, relative to its median absolute deviation: 1 / 0.6745."""
-USUAL_SPAN = 2.0
-"""Minimum span above the median in which averaged differences count as noise [grey levels]."""
+NOISE_SPAN_MIN = 2.0
+"""Minimum range above the median in which averaged differences count as noise [grey levels]."""
 LOST_IN_A_ROW_MAX = 5
 """Number of lost images in a row after which the background is learned again."""
 SAMPLED_STRIDE = 3
@@ -87,34 +88,34 @@ class Blob:
         x: x of its centre [px].
         y: y of its centre [px].
         axis: Its direction [rad], modulo pi.
-        long: Long axis of the ellipse with the same moments [px].
-        wide: Short axis of that ellipse [px].
+        length: Long axis of the ellipse with the same moments [px].
+        width: Short axis of that ellipse [px].
         strength: Mean difference from the background [grey levels].
-        body: A mask of the blob in a rectangle.
-        corner: The rectangle's upper left pixel.
+        mask: Mask of the blob's pixels in a rectangle of the image.
+        corner: Column and row of the rectangle's upper left pixel.
         at_edge: Whether the image's edge cuts the blob.
     """
 
     x: float
     y: float
     axis: float
-    long: float
-    wide: float
+    length: float
+    width: float
     strength: float
-    body: Grey
+    mask: Grey
     corner: tuple[int, int]
     at_edge: bool
 
     @property
-    def part(self) -> tuple[slice, slice]:
-        """Rows and columns of the rectangle of `body` in the image."""
-        tall, wide = self.body.shape
-        return Box(*self.corner, wide, tall).part
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle of `mask` in the image."""
+        height, width = self.mask.shape
+        return Box(*self.corner, width, height).slices
 
     @property
     def pixels(self) -> Floats:
         """Column and row of each of the blob's M pixels, shape (M, 2)."""
-        rows, columns = np.nonzero(self.body)
+        rows, columns = np.nonzero(self.mask)
         return np.column_stack([columns + self.corner[0], rows + self.corner[1]]).astype(float)
 
 
@@ -126,21 +127,21 @@ class Light:
         gain: Brightness of the image, relative to the background.
         noise: Standard deviation of its noise [grey levels].
         contrast: Median strength of its blobs [grey levels]. None without blobs.
-        changed: Fraction of the pixels that differ from the background.
+        changed_fraction: Fraction of the pixels that differ from the background.
         lost: Whether the image cannot be compared with the background, because cells cannot explain
             how much of it has changed.
         shift_px: How far the stage has moved since the previous image [px]: columns to the right,
             rows down.
-        limit: Minimum contrast at which a cell is found [grey levels].
+        contrast_min: Minimum contrast at which a cell is found [grey levels].
     """
 
     gain: float
     noise: float
     contrast: float | None
-    changed: float
+    changed_fraction: float
     lost: bool
     shift_px: tuple[float, float] = (0.0, 0.0)
-    limit: float = 0.0
+    contrast_min: float = 0.0
 
 
 class Background:
@@ -163,8 +164,8 @@ class Background:
         Args:
             shift_px: Shift [px]: columns to the right, rows down.
         """
-        self.fine = np.asarray(moved(self.fine, shift_px), np.float32)
-        self.learned = np.asarray(moved(self.learned, shift_px), np.float32)
+        self.fine = np.asarray(shift_picture(self.fine, shift_px), np.float32)
+        self.learned = np.asarray(shift_picture(self.learned, shift_px), np.float32)
         self.grey = _to_grey(cv2.convertScaleAbs(self.fine))
 
     def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
@@ -177,10 +178,10 @@ class Background:
         Returns:
             The shift [px]: columns to the right, rows down.
         """
-        shift = shift_of(cv2.convertScaleAbs(self.grey, alpha=gain), smooth)
-        if shift != (0.0, 0.0):
-            self.move(shift)
-        return shift
+        shift_px = find_shift(cv2.convertScaleAbs(self.grey, alpha=gain), smooth)
+        if shift_px != (0.0, 0.0):
+            self.move(shift_px)
+        return shift_px
 
     def correct(
         self, rectangle: tuple[slice, slice], is_wrong: Bools, levels: NDArray[np.floating]
@@ -212,24 +213,24 @@ class SearchLimits(NamedTuple):
     """Limits for finding bodies in the averaged difference from the background.
 
     Attributes:
-        low: Minimum difference at every pixel of a body [grey levels].
-        high: Minimum of the largest difference in a body [grey levels].
-        least_px2: Minimum area of a body [px^2].
-        most_px2: Maximum area of a body [px^2].
+        pixel_min: Minimum difference at every pixel of a body [grey levels].
+        peak_min: Minimum of the largest difference in a body [grey levels].
+        area_min_px2: Minimum area of a body [px^2].
+        area_max_px2: Maximum area of a body [px^2].
     """
 
-    low: float
-    high: float
-    least_px2: float
-    most_px2: float
+    pixel_min: float
+    peak_min: float
+    area_min_px2: float
+    area_max_px2: float
 
     @property
     def level(self) -> float:
         """The mean of the averaged differences where there is no body [grey levels]."""
-        return self.low - (self.high - self.low) * LOW_STDS / (HIGH_STDS - LOW_STDS)
+        return self.pixel_min - (self.peak_min - self.pixel_min) * LOW_STDS / (HIGH_STDS - LOW_STDS)
 
 
-NO_BODY = SearchLimits(low=math.inf, high=math.inf, least_px2=0.0, most_px2=0.0)
+NO_BODY = SearchLimits(pixel_min=math.inf, peak_min=math.inf, area_min_px2=0.0, area_max_px2=0.0)
 """Limits that nothing exceeds, used until an image is compared with the background."""
 
 
@@ -240,8 +241,8 @@ class SearchArrays:
         limits: The limits of the search.
         smooth: The blurred image.
         difference: Absolute difference between the blurred image and the background.
-        mean: The difference averaged over squares.
-        mask: Where `mean` is above the lower limit.
+        averages: The difference averaged over squares.
+        mask: Where `averages` is above the lower limit.
         stripe: Index of the stripe of the background that is updated next.
     """
 
@@ -249,7 +250,7 @@ class SearchArrays:
         self.limits = NO_BODY
         self.smooth: Grey = np.zeros_like(picture)
         self.difference: Grey = np.zeros_like(picture)
-        self.mean = np.empty(picture.shape, np.float32)
+        self.averages = np.empty(picture.shape, np.float32)
         self.mask: Grey = np.zeros_like(picture)
         self.stripe = 0
 
@@ -281,20 +282,20 @@ class LostPictures:
 class BlobFinder:
     """Finds blobs that are brighter or darker than the background.
 
-    A blob covers `least_px2` to `most_px2` pixels after differences were averaged over squares
-    slightly larger than the minimum. `learn` computes the background from images taken over a
-    second or more. `follow` updates it with later images, except around the cells, so that the
-    background never shows resting cells. After a knock, the background is moved by the image's
-    shift. If a cell rested while the background was learned, that place is repaired once the cell
-    has left. If the background no longer applies, it is learned again.
+    A blob covers `area_min_px2` to `area_max_px2` pixels after differences were averaged over
+    squares slightly larger than the minimum. `learn` computes the background from images taken over
+    a second or more. `update_background` updates it with later images, except around the cells, so
+    that the background never shows resting cells. After a knock, the background is moved by the
+    image's shift. If a cell rested while the background was learned, that place is repaired once
+    the cell has left. If the background no longer applies, it is learned again.
 
     `bright` is True if most moving objects are brighter than the background. `light` belongs to
     the newest image.
     """
 
-    def __init__(self, least_px2: float, most_px2: float) -> None:
-        self.least_px2 = least_px2
-        self.most_px2 = most_px2
+    def __init__(self, area_min_px2: float, area_max_px2: float) -> None:
+        self.area_min_px2 = area_min_px2
+        self.area_max_px2 = area_max_px2
         self.bright = False
         self.light = Light(1.0, 0.0, None, 0.0, False)
         self._background: Background | None = None
@@ -323,7 +324,9 @@ class BlobFinder:
             cv2.convertScaleAbs(_median_image(pictures[middle_images], gains[middle_images]))
         )
         aligned = [
-            moved(picture, shift_of(cv2.convertScaleAbs(picture, alpha=gain), middle_median))
+            shift_picture(
+                picture, find_shift(cv2.convertScaleAbs(picture, alpha=gain), middle_median)
+            )
             for picture, gain in zip(pictures, gains, strict=True)
         ]
         median_levels = _median_image(aligned, gains)
@@ -340,7 +343,7 @@ class BlobFinder:
         self._usual = None
         self._lost = LostPictures()
 
-    def find(self, picture: Grey) -> list[Blob]:
+    def find_blobs(self, picture: Grey) -> list[Blob]:
         """Find the blobs of an image (height, width), the largest first.
 
         The list is empty if the image cannot be compared with the background (`light.lost`).
@@ -354,24 +357,34 @@ class BlobFinder:
         _blur(picture, newest.difference, newest.smooth)
         light = self._compare_with_background(background, newest)
         usual = self._usual
-        shift = (0.0, 0.0)
-        if usual is None or light.changed > KNOCK_CHANGE[0] * usual.changed + KNOCK_CHANGE[1]:
-            shift = background.follow_knock(newest.smooth, light.gain)
-            if shift != (0.0, 0.0):
+        shift_px = (0.0, 0.0)
+        if (
+            usual is None
+            or light.changed_fraction > KNOCK_CHANGE[0] * usual.changed_fraction + KNOCK_CHANGE[1]
+        ):
+            shift_px = background.follow_knock(newest.smooth, light.gain)
+            if shift_px != (0.0, 0.0):
                 light = self._compare_with_background(background, newest)
-            changed = light.changed
+            usual_fraction = light.changed_fraction
         else:
-            changed = usual.changed + USUAL_SHARE * (light.changed - usual.changed)
+            usual_fraction = usual.changed_fraction + USUAL_WEIGHT * (
+                light.changed_fraction - usual.changed_fraction
+            )
         first_noise = light.noise if usual is None else usual.noise
-        self._usual = replace(light, changed=changed, noise=first_noise)
+        self._usual = replace(light, changed_fraction=usual_fraction, noise=first_noise)
         is_noisy = light.noise > NOISE_GROWTH_MAX * max(first_noise, 1.0)
         is_relearning = len(self._lost.sample) > 0  # once begun, until there is a new background
-        is_lost = light.lost or is_noisy or light.changed > CHANGED_FRACTION_MAX or is_relearning
+        is_lost = (
+            light.lost or is_noisy or light.changed_fraction > CHANGED_FRACTION_MAX or is_relearning
+        )
         candidates = [] if is_lost else self._largest_blobs(newest)
         blobs = self._without_ghosts(candidates, light.gain, background)
         contrast = float(np.median([blob.strength for blob in blobs])) if blobs else None
         self.light = replace(
-            light, contrast=contrast, lost=is_lost, shift_px=(0.0, 0.0) if usual is None else shift
+            light,
+            contrast=contrast,
+            lost=is_lost,
+            shift_px=(0.0, 0.0) if usual is None else shift_px,
         )
         self._lost.in_a_row = self._lost.in_a_row + 1 if is_lost else 0
         return blobs
@@ -387,41 +400,43 @@ class BlobFinder:
         levels = _sample_pixels(newest.smooth)
         background_levels = np.maximum(_sample_pixels(background.grey), 1)
         gain = float(np.median(levels / background_levels))
-        gain = gain if GAIN_LEAST < gain < GAIN_MOST else 1.0
+        gain = gain if GAIN_MIN < gain < GAIN_MAX else 1.0
         cv2.convertScaleAbs(background.grey, newest.difference, gain)
         cv2.absdiff(newest.smooth, newest.difference, newest.difference)
         # medians, and averages of what is near them: cells and debris do not count
         deviations = np.abs(levels - gain * background_levels)
         noise = min(NORMAL_MAD * float(np.median(deviations)), NOISE_MAX)
-        square_px = _averaging_square(self.least_px2).shape
+        square_px = _averaging_square(self.area_min_px2).shape
         border = cv2.BORDER_CONSTANT
-        cv2.boxFilter(newest.difference, cv2.CV_32F, square_px, newest.mean, borderType=border)
-        sample = _sample_pixels(newest.mean)
-        highest_usual = np.median(sample) + max(USUAL_SPAN, noise)
-        is_usual = sample <= highest_usual
-        usual = sample[is_usual].astype(float)
-        level = min(float(usual.mean()), NOISE_MAX)
-        spread = max(float(usual.std()), NOISE_STD_MIN)
-        low_limit = level + LOW_STDS * spread
-        high_limit = level + HIGH_STDS * spread
-        newest.limits = SearchLimits(low_limit, high_limit, self.least_px2, self.most_px2)
-        np.greater(newest.mean, low_limit, out=newest.mask)
+        cv2.boxFilter(newest.difference, cv2.CV_32F, square_px, newest.averages, borderType=border)
+        sample = _sample_pixels(newest.averages)
+        usual_max = np.median(sample) + max(NOISE_SPAN_MIN, noise)
+        is_usual = sample <= usual_max
+        usual_averages = sample[is_usual].astype(float)
+        mean_level = min(float(usual_averages.mean()), NOISE_MAX)
+        noise_std = max(float(usual_averages.std()), NOISE_STD_MIN)
+        pixel_min = mean_level + LOW_STDS * noise_std
+        peak_min = mean_level + HIGH_STDS * noise_std
+        newest.limits = SearchLimits(pixel_min, peak_min, self.area_min_px2, self.area_max_px2)
+        np.greater(newest.averages, pixel_min, out=newest.mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
         is_newly_white = np.median(levels) == 255 and np.median(background_levels) < 255
         is_lost = noise == NOISE_MAX or bool(is_newly_white)
-        changed = cv2.countNonZero(newest.mask) / newest.mask.size
-        return Light(gain, noise, None, changed, is_lost, limit=high_limit)
+        changed_fraction = cv2.countNonZero(newest.mask) / newest.mask.size
+        return Light(gain, noise, None, changed_fraction, is_lost, contrast_min=peak_min)
 
     def _largest_blobs(self, newest: SearchArrays) -> list[Blob]:
         """Find the BLOBS_MAX largest blobs of the newest image, the largest regions first.
 
-        Regions whose bounding box is smaller than `least_px2` are left out.
+        Regions whose bounding box is smaller than `area_min_px2` are left out.
         """
-        large = [region for region in self.regions() if _box_px2(region) >= self.least_px2]
-        large.sort(key=_box_px2, reverse=True)
+        large_regions = [
+            region for region in self.regions() if _box_px2(region) >= self.area_min_px2
+        ]
+        large_regions.sort(key=_box_px2, reverse=True)
         blobs: list[Blob] = []
-        for region in large[:BLOBS_MAX]:
-            blobs += _find_bodies(region, newest.difference, newest.mean, newest.limits)
+        for region in large_regions[:BLOBS_MAX]:
+            blobs += _find_bodies(region, newest.difference, newest.averages, newest.limits)
         return blobs[:BLOBS_MAX]
 
     def regions(self) -> Sequence[np.ndarray]:
@@ -442,14 +457,14 @@ class BlobFinder:
         """
         blobs: list[Blob] = []
         for blob in candidates:
-            rectangle = blob.part
+            rectangle = blob.slices
             levels = self._newest.smooth[rectangle].astype(np.float32) / gain
-            body = blob.body > 0
-            neighbourhood = cv2.dilate(blob.body, _averaging_square(self.least_px2)) > 0
+            body = blob.mask > 0
+            neighbourhood = cv2.dilate(blob.mask, _averaging_square(self.area_min_px2)) > 0
             ring = neighbourhood & (self._newest.mask[rectangle] == 0)
             background_levels = background.fine[rectangle]
             mean_change = gain * float(np.abs(levels - background.learned[rectangle])[body].mean())
-            if mean_change < self._newest.limits.low:
+            if mean_change < self._newest.limits.pixel_min:
                 background.correct(rectangle, neighbourhood, levels)
             elif _is_ghost(levels, background_levels, body, ring):
                 background.correct(rectangle, neighbourhood, levels)
@@ -458,7 +473,7 @@ class BlobFinder:
                 blobs.append(blob)
         return blobs
 
-    def follow(self, cell_rectangles: Sequence[tuple[int, int, int, int]]) -> None:
+    def update_background(self, cell_rectangles: Sequence[tuple[int, int, int, int]]) -> None:
         """Update the next stripe of the background with the newest image, except around cells.
 
         If the background no longer applies, it is learned again.
@@ -512,19 +527,19 @@ class Box(NamedTuple):
 
     left: int
     top: int
-    wide: int
-    tall: int
+    width: int
+    height: int
 
     @property
-    def part(self) -> tuple[slice, slice]:
+    def slices(self) -> tuple[slice, slice]:
         """Rows and columns of the rectangle in an image."""
-        return slice(self.top, self.top + self.tall), slice(self.left, self.left + self.wide)
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
 def _box_px2(contour: np.ndarray) -> int:
     """Compute the area of a contour's bounding box [px^2]."""
-    _, _, wide, tall = cv2.boundingRect(contour)
-    return wide * tall
+    _, _, width, height = cv2.boundingRect(contour)
+    return width * height
 
 
 def _find_bodies(
@@ -539,31 +554,35 @@ def _find_bodies(
         limits: The limits of the search.
     """
     box = Box(*cv2.boundingRect(region))
-    inside = np.zeros((box.tall, box.wide), np.uint8)
+    inside = np.zeros((box.height, box.width), np.uint8)
     cv2.drawContours(inside, [region], -1, 1, -1, offset=(-box.left, -box.top))
-    if cv2.countNonZero(inside) < limits.least_px2:
+    if cv2.countNonZero(inside) < limits.area_min_px2:
         return
-    remaining = averages[box.part] * inside
+    remaining = averages[box.slices] * inside
     height_px, width_px = averages.shape
-    is_at_side = box.left == 0 or box.left + box.wide == width_px
-    at_edge = is_at_side or box.top == 0 or box.top + box.tall == height_px
-    least_peak = limits.high
+    is_at_side = box.left == 0 or box.left + box.width == width_px
+    at_edge = is_at_side or box.top == 0 or box.top + box.height == height_px
+    peak_min = limits.peak_min
     for _ in range(BODIES_MAX):
-        _, peak, _, peak_at = cv2.minMaxLoc(remaining)
-        if peak <= least_peak:
+        _, peak, _, peak_position = cv2.minMaxLoc(remaining)
+        if peak <= peak_min:
             return
-        least_peak = max(least_peak, NEXT_PEAK_FRACTION * peak)
+        peak_min = max(peak_min, NEXT_PEAK_FRACTION * peak)
         peak_height = peak - limits.level
-        mask = _to_grey(remaining > max(limits.low, limits.level + EDGE_FRACTION * peak_height))
-        cv2.floodFill(mask, None, peak_at, 2)
+        mask = _to_grey(
+            remaining > max(limits.pixel_min, limits.level + EDGE_FRACTION * peak_height)
+        )
+        cv2.floodFill(mask, None, peak_position, 2)
         body = _to_grey(mask == 2)
-        surroundings = cv2.dilate(body, _averaging_square(limits.least_px2)) > 0
+        surroundings = cv2.dilate(body, _averaging_square(limits.area_min_px2)) > 0
         remaining[surroundings] = 0
         body_px2 = cv2.countNonZero(body)
-        if limits.least_px2 / 2 <= body_px2 <= limits.most_px2:  # a neighbour cuts a part off
-            rise = (difference[box.part] - limits.level) / peak_height
+        if (
+            limits.area_min_px2 / 2 <= body_px2 <= limits.area_max_px2
+        ):  # a neighbour cuts a part off
+            rise = (difference[box.slices] - limits.level) / peak_height
             weights = (np.clip(rise, *WEIGHT_RAMP) - WEIGHT_RAMP[0]) * surroundings
-            yield _measure_blob(body, weights, difference[box.part], box, at_edge)
+            yield _measure_blob(body, weights, difference[box.slices], box, at_edge)
 
 
 def _measure_blob(
@@ -579,33 +598,33 @@ def _measure_blob(
     if moments["m00"] == 0:
         moments = cv2.moments(body, binaryImage=True)
     mass = moments["m00"]
-    xx = moments["mu20"] / mass + 1 / 12
-    yy = moments["mu02"] / mass + 1 / 12
-    xy = moments["mu11"] / mass
-    middle = (xx + yy) / 2
-    spread = math.hypot((xx - yy) / 2, xy)
+    variance_x = moments["mu20"] / mass + 1 / 12
+    variance_y = moments["mu02"] / mass + 1 / 12
+    covariance_xy = moments["mu11"] / mass
+    mean_variance = (variance_x + variance_y) / 2
+    half_difference = math.hypot((variance_x - variance_y) / 2, covariance_xy)
     return Blob(
         x=box.left + moments["m10"] / mass,
         y=box.top + moments["m01"] / mass,
-        axis=0.5 * math.atan2(2 * xy, xx - yy),
-        long=4 * math.sqrt(middle + spread),
-        wide=4 * math.sqrt(max(middle - spread, 1e-3)),
+        axis=0.5 * math.atan2(2 * covariance_xy, variance_x - variance_y),
+        length=4 * math.sqrt(mean_variance + half_difference),
+        width=4 * math.sqrt(max(mean_variance - half_difference, 1e-3)),
         strength=cv2.mean(difference, body)[0],
-        body=body,
+        mask=body,
         corner=(box.left, box.top),
         at_edge=at_edge,
     )
 
 
-def _averaging_square(least_px2: float) -> Grey:
+def _averaging_square(area_min_px2: float) -> Grey:
     """Return the square over which differences are averaged.
 
     Its side is an odd number of pixels.
     """
-    return np.ones((2 * int(SQUARE_SIDE * math.sqrt(least_px2) / 2) + 1,) * 2, np.uint8)
+    return np.ones((2 * int(SQUARE_SIDE * math.sqrt(area_min_px2) / 2) + 1,) * 2, np.uint8)
 
 
-def _blur(picture: np.ndarray, buffer: np.ndarray, out: np.ndarray) -> None:
+def _blur(picture: np.ndarray, buffer: np.ndarray, blurred: np.ndarray) -> None:
     """Blur an image with two box filters, which is four times as fast as a Gaussian filter.
 
     The result is close to a Gaussian blur with a standard deviation of 1.15 px.
@@ -613,10 +632,10 @@ def _blur(picture: np.ndarray, buffer: np.ndarray, out: np.ndarray) -> None:
     Args:
         picture: The image.
         buffer: A buffer.
-        out: Filled with the result.
+        blurred: Filled with the result.
     """
     cv2.blur(picture, (3, 3), buffer)
-    cv2.blur(buffer, (3, 3), out)
+    cv2.blur(buffer, (3, 3), blurred)
 
 
 def _sample_pixels(picture: np.ndarray) -> np.ndarray:
@@ -632,7 +651,8 @@ def _median_image(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32
     for top in range(0, len(median), rows_at_once):
         band = slice(top, top + rows_at_once)
         scaled = [
-            g * picture[band].astype(np.float32) for picture, g in zip(pictures, gains, strict=True)
+            gain * picture[band].astype(np.float32)
+            for picture, gain in zip(pictures, gains, strict=True)
         ]
         np.median(scaled, axis=0, out=median[band], overwrite_input=True)
     return median

@@ -32,17 +32,17 @@ class FieldRecord(SentDirections):
         """
         return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
 
-    def pieces(self, start: float, end: float) -> Sequence[Piece]:
+    def pieces(self, start_s: float, end_s: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, oldest first.
 
         Each piece has its duration [s], x and y. Before the first recorded time, both are
         0.
         """
-        first, last = np.searchsorted(self.times, (start, end), side="right")
-        cuts = np.array([start, *self.times[first:last], end])
-        now = self.at(cuts[:-1])
-        pieces = np.column_stack([np.diff(cuts), now.real, now.imag])
-        return [(seconds, x, y) for seconds, x, y in pieces.tolist()]
+        first_index, stop_index = np.searchsorted(self.times, (start_s, end_s), side="right")
+        cuts_s = np.array([start_s, *self.times[first_index:stop_index], end_s])
+        fields = self.at(cuts_s[:-1])
+        pieces = np.column_stack([np.diff(cuts_s), fields.real, fields.imag])
+        return [(duration_s, x, y) for duration_s, x, y in pieces.tolist()]
 
 
 class FieldSignals:
@@ -53,7 +53,7 @@ class FieldSignals:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._newest: float | None = None
+        self._newest_direction: float | None = None
         self._sent = deque[tuple[float, float, float]](maxlen=WAITING_MAX)
 
     def note(self, direction: float | None, sent_ns: int) -> None:
@@ -64,10 +64,10 @@ class FieldSignals:
             sent_ns: When it was sent [ns].
         """
         with self._lock:
-            if not self._sent or self._newest != direction:
+            if not self._sent or self._newest_direction != direction:
                 strength = 0.0 if direction is None else 1.0
                 self._sent.append((sent_ns / SECOND, direction or 0.0, strength))
-                self._newest = direction
+                self._newest_direction = direction
 
     def record(self, rotation: float) -> FieldRecord:
         """Return the recorded field in axes that are rotated by `rotation` [rad], anticlockwise.
@@ -76,6 +76,6 @@ class FieldSignals:
         kept.
         """
         with self._lock:
-            sent = [NO_FIELD_YET, *self._sent]
-        times, directions, strengths = np.array(sent).T
+            signals = [NO_FIELD_YET, *self._sent]
+        times, directions, strengths = np.array(signals).T
         return FieldRecord(times, directions - rotation, strengths)

@@ -13,21 +13,23 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import BodySize
-from tetractl_microscope.cells.cell_tracks import WhichIsWhich
+from tetractl_microscope.cells.cell_tracks import IdentityQuestion
 from tetractl_microscope.cells.helix import HelixFilter
-from tetractl_microscope.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
-from tetractl_microscope.cells.readings import MERGED, BlobReading
+from tetractl_microscope.cells.kernels.helix_steps import DISTANT_COUNT, DISTANT_SQUARED
+from tetractl_microscope.cells.readings import SHARED_SD, BlobReading
 
-ASTRAY = 0.67  # distance of a cell's state from its own blob above which it is wrong [lengths]
+ASTRAY_LENGTHS = (
+    0.67  # distance of a cell's state from its own blob above which it is wrong [lengths]
+)
 
 
 def update_filter(
-    bank: HelixFilter, readings: Sequence[BlobReading], seconds: float, body_um: float
+    cell_filter: HelixFilter, readings: Sequence[BlobReading], seconds: float, body_um: float
 ) -> None:
     """Update the filter with the measurements of one image.
 
     Args:
-        bank: The filter.
+        cell_filter: The filter.
         readings: The measurements of the cells.
         seconds: Time of the image [s].
         body_um: Length of a body [um].
@@ -36,24 +38,24 @@ def update_filter(
         return
     rows_of = [reading.cell.rows for reading in readings]
     counts = [len(rows) for rows in rows_of]
-    log_likelihoods, distances = bank.update(
+    log_likelihoods, squared_distances = cell_filter.update(
         np.concatenate(rows_of).astype(int),
         np.repeat([reading.values for reading in readings], counts, axis=0),
         np.repeat([reading.deviations for reading in readings], counts, axis=0),
     )
-    last = 0
+    stop = 0
     for reading, count in zip(readings, counts, strict=True):
-        first = last
-        last = first + count
+        start = stop
+        stop = start + count
         cell = reading.cell
         if cell.question is not None:
-            _answer(reading, cell.question, log_likelihoods[first:last], seconds)
-        elif not reading.newest.is_shared:
-            check_state(bank, reading, float(distances[first]), body_um)
+            _add_to_question(reading, cell.question, log_likelihoods[start:stop], seconds)
+        elif not reading.track_blob.is_shared:
+            repair_state(cell_filter, reading, float(squared_distances[start]), body_um)
 
 
-def _answer(
-    reading: BlobReading, question: WhichIsWhich, log_likelihoods: Floats, seconds: float
+def _add_to_question(
+    reading: BlobReading, question: IdentityQuestion, log_likelihoods: Floats, seconds: float
 ) -> None:
     """Add a measurement to an open question of identity.
 
@@ -64,55 +66,55 @@ def _answer(
             (K,).
         seconds: Time of the image [s].
     """
-    newest = reading.newest
+    track_blob = reading.track_blob
     size = None
-    if not newest.is_shared and not newest.blob.at_edge:
-        _, _, _, long, wide = newest.place.tolist()
-        size = BodySize(long, wide)
-    question.add(reading.cell, log_likelihoods, size, seconds)
+    if not track_blob.is_shared and not track_blob.blob.at_edge:
+        _, _, _, length, width = track_blob.place.tolist()
+        size = BodySize(length, width)
+    question.add_measurement(reading.cell, log_likelihoods, size, seconds)
 
 
-def check_state(
-    bank: HelixFilter, reading: BlobReading, squared_distance: float, body_um: float
+def repair_state(
+    cell_filter: HelixFilter, reading: BlobReading, squared_distance: float, body_um: float
 ) -> None:
     """Repair the state of a cell that the filter tracks wrongly.
 
     Args:
-        bank: The filter.
+        cell_filter: The filter.
         reading: The measurement of the cell.
         squared_distance: Squared Mahalanobis distance of the blob from the prediction.
         body_um: Length of a body [um].
     """
     cell = reading.cell
-    is_odd = squared_distance > ODD_DISTANCE
-    cell.outliers_in_row = cell.outliers_in_row + 1 if is_odd else 0
-    if _is_astray(bank, reading, body_um):
-        _move_to_blob(bank, reading)
+    is_distant = squared_distance > DISTANT_SQUARED
+    cell.outliers_in_row = cell.outliers_in_row + 1 if is_distant else 0
+    if _is_astray(cell_filter, reading, body_um):
+        _move_to_blob(cell_filter, reading)
         cell.outliers_in_row = 0
-    elif cell.outliers_in_row >= ODD_RUN:
-        bank.loosen([cell.row])
+    elif cell.outliers_in_row >= DISTANT_COUNT:
+        cell_filter.widen([cell.row])
         cell.outliers_in_row = 0
 
 
-def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:
+def _is_astray(cell_filter: HelixFilter, reading: BlobReading, body_um: float) -> bool:
     """Check whether the filter's position of a cell is too far from the cell's blob.
 
-    It is if they are more than ASTRAY body lengths apart, and if the blob's position is
+    It is if they are more than ASTRAY_LENGTHS body lengths apart, and if the blob's position is
     precise.
     """
     x, y, _ = reading.values
-    state = bank.mean[reading.cell.row, :2].tolist()
-    is_certain = reading.deviations[0] < MERGED.position * body_um
-    return is_certain and math.dist((x, y), state) > ASTRAY * body_um
+    state = cell_filter.means[reading.cell.row, :2].tolist()
+    is_certain = reading.deviations[0] < SHARED_SD.position * body_um
+    return is_certain and math.dist((x, y), state) > ASTRAY_LENGTHS * body_um
 
 
-def _move_to_blob(bank: HelixFilter, reading: BlobReading) -> None:
+def _move_to_blob(cell_filter: HelixFilter, reading: BlobReading) -> None:
     """Move the state of a cell to its blob, with the end of the axis in front that moved ahead."""
     cell = reading.cell
     x, y, axis = reading.values
-    last_x, last_y = cell.last.tolist()
+    last_x, last_y = cell.last_um.tolist()
     moved_ahead = math.cos(axis) * (x - last_x) + math.sin(axis) * (y - last_y)
     heading = axis + math.pi if moved_ahead < 0 else axis
-    row = bank.moved(cell.row, x, y, heading)
-    bank.drop(cell.row)
+    row = cell_filter.copy_row_to(cell.row, x, y, heading)
+    cell_filter.free_row(cell.row)
     cell.row = row

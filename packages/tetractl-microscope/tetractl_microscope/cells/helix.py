@@ -12,7 +12,7 @@ State of one cell, in um, s and rad:
     turn      turning rate that the field does not explain [rad/s]
     flow      velocity of the medium, x and y
     delay     time after which the field acts on the cell [s]
-    way       length of the way along the helix's axis since the row was added [um]
+    path      distance travelled along the helix's axis since the row was added [um]
     sway      swing of the body's axis, relative to that of a body that points along its path
     lead      the same for the part of the swing that is a quarter turn ahead
 
@@ -33,16 +33,16 @@ from tetractl_microscope.cells.kernels import helix_steps
 from tetractl_microscope.cells.kernels.helix_steps import (
     BIAS,
     DELAY,
-    EXACT,
+    DEVIATION_SCALE,
     FLOW_X,
     FLOW_Y,
     HEADING,
     LEAD,
-    MODEL,
+    MODEL_SIZE,
     RATE,
-    SLOWEST,
     SPEED,
-    STATES,
+    SPEED_MIN,
+    STATE_SIZE,
     SWAY,
     TURN,
     A,
@@ -53,35 +53,34 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 )
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
-# what is thought of a new cell: standard deviations of its position [lengths of a cell], heading,
-# and speed [relative to that below which it rests]; mean and standard deviation of a [rad/s]
-POSITION_SD = 0.115
-HEADING_SD = 0.35
-SPEED_SD = 1.33
-A_USUAL = 3.0
-A_SD = 3.0
+# Means and standard deviations of the state of a new cell.
+POSITION_SD = 0.115  # [lengths of a cell]
+HEADING_SD = 0.35  # [rad]
+SPEED_SD = 1.33  # relative to the speed below which a cell rests
+A_MEAN = 3.0  # [rad/s]
+A_SD = 3.0  # [rad/s]
 A_SD_UNKNOWN = 1e-6  # in an unknown field, a stays 0
 BIAS_SD = 0.15
 FLOW_SD_UM_S = 4.0
 DELAY_SD_S = 0.015
-SWAY_USUAL = 0.8
+SWAY_MEAN = 0.8
 SWAY_SD = 0.3
 LEAD_SD = 0.3
-# growth of these standard deviations per sqrt(s), in the same units; that of the rate [rad/s]
+# Growth of the standard deviations per sqrt(s), in the same units. RATE_GROWTH is in rad/s.
 POSITION_GROWTH = 0.038
 HEADING_GROWTH = 0.07
 SPEED_GROWTH = 0.2
 RATE_GROWTH = 0.3
 A_GROWTH = 0.02
 BIAS_GROWTH = 0.005
-# standard deviation of unexplained turning [rad/s] with and without a known field
-TURN_KNOWN = 0.1
-TURN_UNKNOWN = 3.0
-WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
-# relative deviations of a mean speed and of a for what a picture does not show, as an axis that
-# leaves the picture's plane
-SPEED_ERROR = 0.004
-A_ERROR = 0.02
+# Standard deviation of the turning that the field does not explain [rad/s].
+TURN_SD_KNOWN = 0.1  # if the field is known
+TURN_SD_UNKNOWN = 3.0  # if the field is unknown
+WALL_REACH_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
+# Relative standard deviations that are added to those of the filter, for effects that an image does
+# not show, such as a tilt of the helix out of the image plane.
+SPEED_ERROR = 0.004  # of a mean speed
+A_ERROR = 0.02  # of a
 
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""
@@ -90,8 +89,8 @@ NearWall = Callable[[Floats, Floats], Bools]
 """Function that returns whether a wall may turn cells at positions x, y (R,) [um]."""
 
 
-def open_water(x: Floats, y: Floats) -> Bools:
-    """Return False for every position: there are no walls."""
+def nowhere_near_wall(x: Floats, y: Floats) -> Bools:
+    """Return False for every position (R,), for water without walls; a `NearWall`."""
     return np.zeros(len(x), bool)
 
 
@@ -120,28 +119,28 @@ def new_cell(organism: Organism, field_known: bool) -> NewCell:
     body_um = organism.body_um[0]
     slowest_um_s = organism.slowest_um_s
     rate, rate_sd = math.tau * np.array(organism.helix_hz)
-    turn_sd = TURN_KNOWN if field_known else TURN_UNKNOWN
+    turn_sd = TURN_SD_KNOWN if field_known else TURN_SD_UNKNOWN
 
-    mean = np.zeros(STATES)
+    mean = np.zeros(STATE_SIZE)
     mean[RATE] = rate
-    mean[A] = A_USUAL if field_known else 0.0
-    mean[SWAY] = SWAY_USUAL
+    mean[A] = A_MEAN if field_known else 0.0
+    mean[SWAY] = SWAY_MEAN
 
-    sd = np.zeros(STATES)
-    sd[[X, Y]] = POSITION_SD * body_um
-    sd[HEADING] = HEADING_SD
-    sd[SPEED] = SPEED_SD * slowest_um_s
-    sd[[C, S]] = math.hypot(*organism.helix_um) / math.sqrt(2)
-    sd[RATE] = rate_sd
-    sd[A] = A_SD if field_known else A_SD_UNKNOWN
-    sd[BIAS] = BIAS_SD
-    sd[TURN] = turn_sd
-    sd[[FLOW_X, FLOW_Y]] = FLOW_SD_UM_S
-    sd[DELAY] = DELAY_SD_S
-    sd[SWAY] = SWAY_SD
-    sd[LEAD] = LEAD_SD
+    state_sd = np.zeros(STATE_SIZE)
+    state_sd[[X, Y]] = POSITION_SD * body_um
+    state_sd[HEADING] = HEADING_SD
+    state_sd[SPEED] = SPEED_SD * slowest_um_s
+    state_sd[[C, S]] = math.hypot(*organism.helix_um) / math.sqrt(2)
+    state_sd[RATE] = rate_sd
+    state_sd[A] = A_SD if field_known else A_SD_UNKNOWN
+    state_sd[BIAS] = BIAS_SD
+    state_sd[TURN] = turn_sd
+    state_sd[[FLOW_X, FLOW_Y]] = FLOW_SD_UM_S
+    state_sd[DELAY] = DELAY_SD_S
+    state_sd[SWAY] = SWAY_SD
+    state_sd[LEAD] = LEAD_SD
 
-    model = np.zeros(MODEL)
+    model = np.zeros(MODEL_SIZE)
     model[[X, Y, C, S]] = POSITION_GROWTH * body_um
     model[HEADING] = HEADING_GROWTH
     model[SPEED] = SPEED_GROWTH * slowest_um_s
@@ -149,9 +148,9 @@ def new_cell(organism: Organism, field_known: bool) -> NewCell:
     model[A] = A_GROWTH
     model[BIAS] = BIAS_GROWTH
     model[TURN] = turn_sd
-    model[EXACT] = 1.0
-    model[SLOWEST] = slowest_um_s
-    return NewCell(mean, np.diag(np.square(sd)), model)
+    model[DEVIATION_SCALE] = 1.0
+    model[SPEED_MIN] = slowest_um_s
+    return NewCell(mean, np.diag(np.square(state_sd)), model)
 
 
 @dataclass(slots=True)
@@ -163,19 +162,19 @@ class HelixFilter:
         near_wall: Function that finds the positions where a wall may turn cells. Turning there
             leaves the estimates of a and bias unchanged.
         organism: The organism, which determines the initial estimate of a new cell.
-        mean: Mean of the state in each row, shape (R, n).
-        covariance: Covariance of the state in each row, shape (R, n, n).
-        used: Whether each row holds a cell, shape (R,).
+        means: Mean of the state in each row, shape (R, n).
+        covariances: Covariance of the state in each row, shape (R, n, n).
+        is_used: Whether each row holds a cell, shape (R,).
     """
 
     field_known: bool = True
-    near_wall: NearWall = open_water
+    near_wall: NearWall = nowhere_near_wall
     organism: Organism = TETRAHYMENA
-    mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
-    covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
-    used: Bools = field(default_factory=lambda: np.zeros(0, bool))
+    means: Floats = field(default_factory=lambda: np.zeros((0, STATE_SIZE)))
+    covariances: Floats = field(default_factory=lambda: np.zeros((0, STATE_SIZE, STATE_SIZE)))
+    is_used: Bools = field(default_factory=lambda: np.zeros(0, bool))
     _new_cell: NewCell = field(init=False)
-    _last_piece: Floats | None = None  # the last piece
+    _last_piece: Floats | None = None  # the piece of the field before the next prediction
 
     def __post_init__(self) -> None:
         """Run each compiled kernel once, so that no image has to wait for a compilation."""
@@ -184,8 +183,8 @@ class HelixFilter:
         self.predict([(1.0, 0.0, 0.0)])
         only_row = np.zeros(1, int)
         self.update(only_row, np.zeros((1, 3)), np.ones((1, 3)))
-        self.expected(only_row)
-        self.drop(0)
+        self.predict_bodies(only_row)
+        self.free_row(0)
         self._last_piece = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
@@ -201,22 +200,22 @@ class HelixFilter:
             The row of the cell.
         """
         row = self._reserve_row()
-        self.mean[row] = self._new_cell.mean
-        self.covariance[row] = self._new_cell.covariance
-        self.mean[row, [X, Y, HEADING, SPEED]] = x, y, heading, speed
+        self.means[row] = self._new_cell.mean
+        self.covariances[row] = self._new_cell.covariance
+        self.means[row, [X, Y, HEADING, SPEED]] = x, y, heading, speed
         return row
 
-    def copied(self, row: int) -> int:
+    def copy_row(self, row: int) -> int:
         """Copy a row to a free row, and return the index of the copy.
 
         If no row is free, the arrays grow and are replaced.
         """
         copy = self._reserve_row()
-        self.mean[copy] = self.mean[row]
-        self.covariance[copy] = self.covariance[row]
+        self.means[copy] = self.means[row]
+        self.covariances[copy] = self.covariances[row]
         return copy
 
-    def moved(self, row: int, x: float, y: float, heading: float) -> int:
+    def copy_row_to(self, row: int, x: float, y: float, heading: float) -> int:
         """Copy a cell to a free row, and move the copy to another pose.
 
         The copy keeps its speed, its turning rate and the rate of its helix.
@@ -230,41 +229,45 @@ class HelixFilter:
         Returns:
             The row of the copy.
         """
-        copy = self.copied(row)
+        copy = self.copy_row(row)
         pose_states = [X, Y, HEADING, C, S]
-        self.mean[copy, pose_states] = x, y, heading, 0.0, 0.0
-        self.covariance[copy, pose_states, :] = self.covariance[copy, :, pose_states] = 0.0
-        self.covariance[copy, pose_states, pose_states] = self._new_cell.covariance[
+        self.means[copy, pose_states] = x, y, heading, 0.0, 0.0
+        self.covariances[copy, pose_states, :] = self.covariances[copy, :, pose_states] = 0.0
+        self.covariances[copy, pose_states, pose_states] = self._new_cell.covariance[
             pose_states, pose_states
         ]
         return copy
 
-    def drop(self, row: int) -> None:
+    def free_row(self, row: int) -> None:
         """Remove a cell: its row becomes free."""
-        self.used[row] = False
+        self.is_used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
         """Run the time update for every cell, over successive intervals of constant field.
 
-        Each piece has its duration [s], x and y. Nothing happens if there are none.
+        Args:
+            pieces: The successive pieces of constant field: duration [s], x and y. Nothing happens
+                if the sequence is empty.
         """
         if pieces:
             field_pieces = np.array(pieces, np.float64)
-            walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
+            is_near_wall = self.near_wall(self.means[:, X], self.means[:, Y])
             previous_piece = field_pieces[0] if self._last_piece is None else self._last_piece
-            rows = self.mean, self.covariance, self.used
-            helix_steps.predict(*rows, self._new_cell.model, walled, previous_piece, field_pieces)
+            filter_rows = self.means, self.covariances, self.is_used
+            helix_steps.predict(
+                *filter_rows, self._new_cell.model, is_near_wall, previous_piece, field_pieces
+            )
             self._last_piece = field_pieces[-1]
 
-    def loosen(self, rows: Sequence[int]) -> None:
+    def widen(self, rows: Sequence[int]) -> None:
         """Make cells that moved unexpectedly about as uncertain as new cells.
 
         The initial variances of position, heading, speed, c and s are added to their covariances.
         """
         for row in rows:
-            self.covariance[row, :RATE, :RATE] += self._new_cell.covariance[:RATE, :RATE]
+            self.covariances[row, :RATE, :RATE] += self._new_cell.covariance[:RATE, :RATE]
 
-    def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
+    def predict_bodies(self, rows: np.ndarray) -> tuple[Floats, Floats]:
         """Predict the measurements of cells' bodies.
 
         Args:
@@ -275,45 +278,51 @@ class HelixFilter:
             positions [um^2], shape (M, 2, 2).
         """
         bodies = np.empty((len(rows), 3))
-        slopes = np.empty((len(rows), 3, STATES))
-        helix_steps.expected(self.mean, rows, self._new_cell.model[SLOWEST], bodies, slopes)
-        position_slopes = slopes[:, :2]
-        return bodies, position_slopes @ self.covariance[rows] @ position_slopes.transpose(0, 2, 1)
+        jacobians = np.empty((len(rows), 3, STATE_SIZE))
+        helix_steps.predict_bodies(
+            self.means, rows, self._new_cell.model[SPEED_MIN], bodies, jacobians
+        )
+        position_jacobians = jacobians[:, :2]
+        return bodies, position_jacobians @ self.covariances[rows] @ position_jacobians.transpose(
+            0, 2, 1
+        )
 
     def update(
-        self, rows: np.ndarray, measured: Floats, deviation: Floats
+        self, rows: np.ndarray, measured: Floats, measured_sd: Floats
     ) -> tuple[Floats, Floats]:
         """Run the measurement update for some of the cells.
 
         Args:
             rows: Rows of the measured cells, shape (M,).
             measured: Measured x, y [um] and axis [rad], shape (M, 3).
-            deviation: Standard deviations of the measurements, shape (M, 3).
+            measured_sd: Standard deviations of the measurements, shape (M, 3).
 
         Returns:
             The log-likelihoods under Student's t distribution, shape (M,), and the squared
             Mahalanobis distances from the prediction, shape (M,).
         """
-        likelihood = np.empty(len(rows))
-        distance = np.empty(len(rows))
+        log_likelihoods = np.empty(len(rows))
+        squared_distances = np.empty(len(rows))
         helix_steps.update(
-            self.mean,
-            self.covariance,
+            self.means,
+            self.covariances,
             rows,
             self._new_cell.model,
             np.ascontiguousarray(measured),
-            np.ascontiguousarray(deviation),
-            likelihood,
-            distance,
+            np.ascontiguousarray(measured_sd),
+            log_likelihoods,
+            squared_distances,
         )
-        return likelihood, distance
+        return log_likelihoods, squared_distances
 
     def _reserve_row(self) -> int:
         """Reserve a free row and return its index. If there is none, the arrays grow by 16 rows."""
-        if self.used.all():
-            self.mean = np.concatenate([self.mean, np.zeros((16, STATES))])
-            self.covariance = np.concatenate([self.covariance, np.zeros((16, STATES, STATES))])
-            self.used = np.concatenate([self.used, np.zeros(16, bool)])
-        row = int(np.argmin(self.used))
-        self.used[row] = True
+        if self.is_used.all():
+            self.means = np.concatenate([self.means, np.zeros((16, STATE_SIZE))])
+            self.covariances = np.concatenate(
+                [self.covariances, np.zeros((16, STATE_SIZE, STATE_SIZE))]
+            )
+            self.is_used = np.concatenate([self.is_used, np.zeros(16, bool)])
+        row = int(np.argmin(self.is_used))
+        self.is_used[row] = True
         return row

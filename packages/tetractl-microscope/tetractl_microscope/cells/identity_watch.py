@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Note
 
-SURE = 0.9
+KNOWN_PROBABILITY = 0.9
 """Minimum probability of a robot's identity; below it, it is unknown which robot it is."""
 
 
@@ -27,30 +27,34 @@ class IdentityWatch:
         self._since_ns: dict[int, int] = {}  # time when each unknown robot became unknown
         self.unknown: dict[int, str] = {}
 
-    def see(self, now: int, probabilities: Floats) -> Iterator[Note]:
+    def update(self, now_ns: int, probabilities: Floats) -> Iterator[Note]:
         """Yield a note for each robot whose cell becomes known or unknown.
 
         Args:
-            now: Time of the frame [ns].
+            now_ns: Time of the frame [ns].
             probabilities: Probability of each robot's identity, shape (N,). NaN if it is not seen.
         """
         for i, (name, probability) in enumerate(
             zip(self._names, probabilities.tolist(), strict=True)
         ):
-            if probability < SURE and i not in self._since_ns:
-                self._since_ns[i] = now
-                text = (
+            if probability < KNOWN_PROBABILITY and i not in self._since_ns:
+                self._since_ns[i] = now_ns
+                problem = (
                     f"{name} has met another cell; the probability that the two have not "
                     "been confused is"
                 )
-                yield Note(now, "warning", f"{text} {probability:.2f}")
-            elif probability >= SURE and self._since_ns.pop(i, None) is not None:
+                yield Note(now_ns, "warning", f"{problem} {probability:.2f}")
+            elif probability >= KNOWN_PROBABILITY and self._since_ns.pop(i, None) is not None:
                 yield Note(
-                    now, "info", f"{name} is identified again, with probability {probability:.2f}"
+                    now_ns,
+                    "info",
+                    f"{name} is identified again, with probability {probability:.2f}",
                 )
-            elif i not in self.unknown and now - self._since_ns.get(i, now) > self._patience_ns:
-                seconds = self._patience_ns / SECOND
-                self.unknown[i] = f"for {seconds:g} s it has been uncertain which cell is {name}"
+            elif (
+                i not in self.unknown and now_ns - self._since_ns.get(i, now_ns) > self._patience_ns
+            ):
+                patience_s = self._patience_ns / SECOND
+                self.unknown[i] = f"for {patience_s:g} s it has been uncertain which cell is {name}"
 
     def forget(self, i: int) -> None:
         """Forget the identity of the robot with index `i`, which is now another cell.

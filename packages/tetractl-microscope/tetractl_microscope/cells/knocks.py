@@ -20,7 +20,7 @@ LEFT_FRACTION_MAX = 0.85
 """Maximum fraction of the changed pixels that a shift may leave unexplained."""
 
 
-def shift_of(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
+def find_shift(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
     """Find by how many columns and rows the content of a grey image was shifted.
 
     Args:
@@ -37,51 +37,51 @@ def shift_of(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
     flat_previous, flat_newest = (_flatten(picture, scale) for picture in (previous, newest))
     window = cv2.createHanningWindow(flat_previous.shape[::-1], cv2.CV_32F)
     (x, y), _ = cv2.phaseCorrelate(_features(flat_previous), _features(flat_newest), window)
-    shift_max = max(abs(x), abs(y))
-    if math.hypot(x, y) < SHIFT_MIN_PX or not shift_max < SHIFT_MAX_FRACTION * min(
+    largest_component = max(abs(x), abs(y))
+    if math.hypot(x, y) < SHIFT_MIN_PX or not largest_component < SHIFT_MAX_FRACTION * min(
         flat_previous.shape
     ):
         return 0.0, 0.0
-    differences = cv2.absdiff(flat_previous, flat_newest)
-    remaining = cv2.absdiff(moved(flat_previous, (x, y)), flat_newest)
-    changed = max(FEATURE_MEDIANS * float(np.median(differences)), 8.0)
+    differences_before = cv2.absdiff(flat_previous, flat_newest)
+    differences_after = cv2.absdiff(shift_picture(flat_previous, (x, y)), flat_newest)
+    change_min = max(FEATURE_MEDIANS * float(np.median(differences_before)), 8.0)
     common_part = (
         _common_pixels(y, flat_previous.shape[0]),
         _common_pixels(x, flat_previous.shape[1]),
     )
     counts = [
-        np.count_nonzero(difference[common_part] > changed)
-        for difference in (differences, remaining)
+        np.count_nonzero(difference[common_part] > change_min)
+        for difference in (differences_before, differences_after)
     ]
     return (x / scale, y / scale) if counts[1] < LEFT_FRACTION_MAX * counts[0] else (0.0, 0.0)
 
 
-def _common_pixels(shift: float, size: int) -> slice:
+def _common_pixels(shift_px: float, size_px: int) -> slice:
     """Return the pixels along one axis that an image shows both before and after a shift [px].
 
     They are counted in the image after the shift.
     """
-    first = max(0, math.ceil(shift))
-    last = size + min(0, math.floor(shift))
-    return slice(first, last)
+    start = max(0, math.ceil(shift_px))
+    stop = size_px + min(0, math.floor(shift_px))
+    return slice(start, stop)
 
 
-def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+def shift_picture(picture: np.ndarray, shift_px: tuple[float, float]) -> np.ndarray:
     """Return an image with its content shifted by columns and rows.
 
     New pixels at an edge are like their neighbours.
     """
-    if shift == (0.0, 0.0):
+    if shift_px == (0.0, 0.0):
         return picture
-    transform = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    transform = np.array([[1.0, 0.0, shift_px[0]], [0.0, 1.0, shift_px[1]]])
     size = picture.shape[1], picture.shape[0]
     return cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _flatten(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
     """Scale an image, and remove slow changes of brightness across it, such as uneven light."""
-    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    flat = np.asarray(small, np.float32)
+    reduced = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    flat = np.asarray(reduced, np.float32)
     return flat - cv2.blur(flat, (MEAN_SQUARE_PX, MEAN_SQUARE_PX))
 
 

@@ -3,15 +3,18 @@
 A *track* is an object that is tracked from image to image. Its *identity* is the number of the cell
 that it most probably shows, and its *certainty* is the probability of that number.
 
-- A *meeting* begins when tracks share a blob (`Names.meet`), so that they may exchange their cells.
-  `meetings` computes the *share* of each track: the probability that it still has its own cell.
-- When tracks are apart again (`Names.part`), those with a share above ASSERTED keep their
-  identities. For the others, a *question* is opened: each track is predicted by one filter row for
-  each cell that it may be, with the turning rate, bias, speed and helix of that cell. The
-  likelihoods of later measurements, above all of the response to the field, multiply the
-  probability of each assignment of cells to tracks.
-- A question is closed once one assignment is certain, or after a maximum time (`Names.answer`).
-- A *doubt* multiplies the certainty of a track by a share that later measurements cannot improve.
+- A *meeting* begins when tracks share a blob (`CellIdentities.note_meeting`), so that they may
+  exchange their cells. `meetings` computes the *own probability* of each track: the probability
+  that the track still shows its own cell.
+- When tracks are separate again (`CellIdentities.end_meetings`), those whose own probability is
+  above ASSERTED_PROBABILITY keep their identities. For the other tracks, a *question* is opened:
+  each track is predicted by one filter row for each cell that it may show, with the turning rate,
+  bias, speed and helix of that cell. The likelihoods of later measurements, above all of the
+  response to the field, multiply the probability of each assignment of cells to tracks.
+- A question is closed once one assignment is certain, or after a maximum time
+  (`CellIdentities.answer_questions`).
+- If no later measurement can decide, the certainty of a track is multiplied by a probability once
+  and for all, and no question is opened.
 
 Each row of the filter has one owner, which frees it: a track without an open question, a cell of a
 meeting, or an open question. In the last case, the track's `row` is one of the question's rows.
@@ -25,43 +28,48 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import CellAnswer, TrackName
+from tetractl_microscope.cells.cell import CellAnswer, TrackIdentity
 from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
+    IdentityQuestion,
     Meeting,
-    WhichIsWhich,
-    log_of_each,
-    orders,
+    all_assignments,
+    log_assignment_probabilities,
 )
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
-from tetractl_microscope.cells.meetings import ORDERED_MOST, PLACE_SD, Meetings
+from tetractl_microscope.cells.meetings import ASSIGNED_TRACKS_MAX, POSITION_SD, Meetings
 
-# probability above which no question is asked
-ASSERTED = 0.99
-FIRST_SD = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
-FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
-REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
-EITHER_OF_TWO = 0.5  # share of a track whose cell is one of two, of which nothing more is known
+# Probability that a track shows its own cell, above which no question is opened.
+ASSERTED_PROBABILITY = 0.99
+# Standard deviations of x, y [um] and axis [rad] of a track's blob when a question is opened.
+FIRST_BLOB_SD = (2.0, 2.0, 0.1)
+# Squared Mahalanobis distance above which the prediction of a cell is moved to the track's blob.
+FAR_SQUARED_DISTANCE = 25.0
+UNKNOWN_REMEMBERED_S = 0.5  # time for which a meeting with an unknown object is remembered
+# Probability that a track still shows its cell after another object came out of the track's blob,
+# if nothing more is known.
+SPLIT_PROBABILITY = 0.5
 
 
-class Names:
-    """Keeps the identities of all tracks, the meetings of tracks, and the open questions.
+class CellIdentities:
+    """Infers which cell is on each track, from the meetings of tracks and the open questions.
 
-    For each image, `meet` is called for each group of tracks that cannot be distinguished, then
-    `part` and `answer` once. After that, new cells are numbered, and lost ones are given up.
+    For each image, `note_meeting` is called for each group of tracks that cannot be distinguished,
+    then `end_meetings` and `answer_questions` once. After that, new cells get a number, and lost
+    tracks are forgotten.
 
     Args:
-        bank: The filter.
+        cell_filter: The filter.
         body_um: Length of a cell [um].
     """
 
-    def __init__(self, bank: HelixFilter, body_um: float) -> None:
-        self._bank = bank
+    def __init__(self, cell_filter: HelixFilter, body_um: float) -> None:
+        self._cell_filter = cell_filter
         self._body_um = body_um
-        self._last_number = 0
-        self._meetings = Meetings(bank, body_um)
-        self._questions: list[WhichIsWhich] = []
-        self._answers: list[CellAnswer] = []  # not taken yet
+        self._last_identity = 0
+        self._meetings = Meetings(cell_filter, body_um)
+        self._questions: list[IdentityQuestion] = []
+        self._answers: list[CellAnswer] = []  # those not returned by `take_answers` yet
 
     def take_answers(self) -> list[CellAnswer]:
         """Return the answers since the last call, and remove them from the list."""
@@ -69,269 +77,288 @@ class Names:
         self._answers = []
         return answers
 
-    def take_number(self) -> int:
+    def new_identity(self) -> int:
         """Return a number for a new cell. Each call returns the next number, starting with 1."""
-        self._last_number += 1
-        return self._last_number
+        self._last_identity += 1
+        return self._last_identity
 
     # ---- tracks that meet and part ----
 
-    def meet(self, together: Sequence[CellTrack], seconds: float, with_unknown: bool) -> None:
+    def note_meeting(self, tracks: Sequence[CellTrack], seconds: float, with_unknown: bool) -> None:
         """Record that tracks cannot be distinguished.
 
-        They share a blob, or the blob of a single track is too large.
+        The tracks share a blob, or the blob of a single track is too large for one cell.
 
         Args:
-            together: The tracks.
+            tracks: The tracks.
             seconds: Time of the image [s].
-            with_unknown: Whether an unknown object may be with them.
+            with_unknown: Whether an unknown object may be in the blob, too.
         """
-        for question in {id(t.question): t.question for t in together if t.question}.values():
-            self._end(question)
-        for track in together:
+        for question in {id(t.question): t.question for t in tracks if t.question}.values():
+            self._close_question(question)
+        for track in tracks:
             track.together_s = seconds
-        self._meetings.bring(together, with_unknown)
+        self._meetings.join(tracks, with_unknown)
 
-    def part(self, places: dict[int, Floats], awaited: Sequence[CellTrack], seconds: float) -> None:
-        """End the meetings of tracks that are apart again.
+    def end_meetings(
+        self, places: dict[int, Floats], awaiting_tracks: Sequence[CellTrack], seconds: float
+    ) -> None:
+        """End the meetings of tracks that are separate again.
 
         Args:
-            places: x, y [um] and axis [rad] of each track's blob.
-            awaited: Tracks near which something new was first seen that may prove to be a cell.
+            places: x, y [um] and axis [rad] of the blob of each track, by the track's number.
+            awaiting_tracks: Tracks near which a new object was first seen that may prove to be a
+                cell. A meeting of such a track lasts UNKNOWN_REMEMBERED_S longer.
             seconds: Time of the image [s].
         """
         for meeting in self._meetings.running:
-            waits = len(meeting.tracks) == 1 or any(track in awaited for track in meeting.tracks)
-            apart_since_s = seconds - (REMEMBERED_S if waits else 0.0)
-            apart = [
+            must_wait = len(meeting.tracks) == 1 or any(
+                track in awaiting_tracks for track in meeting.tracks
+            )
+            apart_since_s = seconds - (UNKNOWN_REMEMBERED_S if must_wait else 0.0)
+            separate_tracks = [
                 track
                 for track in meeting.tracks
                 if track.number in places and track.together_s < apart_since_s
             ]
-            if apart:
-                self._let_go(meeting, apart)
-                if meeting.tracks and all(track in apart for track in meeting.tracks):
-                    self._resolve(meeting, places, seconds)
+            if separate_tracks:
+                self._release_tracks(meeting, separate_tracks)
+                if meeting.tracks and all(track in separate_tracks for track in meeting.tracks):
+                    self._resolve_meeting(meeting, places, seconds)
 
-    def _let_go(self, meeting: Meeting, apart: Collection[CellTrack]) -> None:
-        """Let the tracks leave that are apart and surely follow their own cells, or that are alone.
+    def _release_tracks(self, meeting: Meeting, separate_tracks: Collection[CellTrack]) -> None:
+        """Remove the separate tracks of a meeting that certainly show their own cells.
 
-        The shares are those before any has left. Nothing is sure as long as something unknown may
-        be with those that stay.
+        A track that is alone in its meeting is always removed. The probabilities are computed
+        before any track leaves. As long as an unknown object may be with the tracks that stay, no
+        track is certain.
         """
-        shares = self._meetings.own_shares(meeting).tolist()
+        own_probabilities = self._meetings.own_probabilities(meeting).tolist()
         is_alone = len(meeting.tracks) == 1
-        some_stay = any(track not in apart for track in meeting.tracks)
-        for track, share in zip(meeting.tracks, shares, strict=True):
-            if track not in apart:
+        are_some_left = any(track not in separate_tracks for track in meeting.tracks)
+        for track, own_probability in zip(meeting.tracks, own_probabilities, strict=True):
+            if track not in separate_tracks:
                 continue
             if is_alone:
                 self._meetings.leave(meeting, track)
-                if share < ASSERTED:
-                    self._doubt(track, share)
-            elif share > ASSERTED and not (meeting.with_unknown and some_stay):
+                if own_probability < ASSERTED_PROBABILITY:
+                    self._reduce_certainty(track, own_probability)
+            elif own_probability > ASSERTED_PROBABILITY and not (
+                meeting.with_unknown and are_some_left
+            ):
                 self._meetings.leave(meeting, track)
 
-    def _resolve(self, meeting: Meeting, places: dict[int, Floats], seconds: float) -> None:
-        """End a meeting whose tracks are all apart.
+    def _resolve_meeting(self, meeting: Meeting, places: dict[int, Floats], seconds: float) -> None:
+        """End a meeting whose tracks are all separate, and open a question about their identities.
 
-        It becomes a question of which cell is on which track. If there are too many tracks, each is
-        doubted.
+        If there are too many tracks for a question, the certainty of each track is reduced instead.
         """
         tracks = meeting.tracks
-        if len(tracks) <= ORDERED_MOST:
-            self._ask(meeting, np.array([places[track.number] for track in tracks]), seconds)
+        if len(tracks) <= ASSIGNED_TRACKS_MAX:
+            self._ask_question(
+                meeting, np.array([places[track.number] for track in tracks]), seconds
+            )
             return
-        shares = self._meetings.own_shares(meeting).tolist()
+        own_probabilities = self._meetings.own_probabilities(meeting).tolist()
         self._meetings.end(meeting)
-        for track, share in zip(tracks, shares, strict=True):
-            self._doubt(track, share)
+        for track, own_probability in zip(tracks, own_probabilities, strict=True):
+            self._reduce_certainty(track, own_probability)
 
     # ---- cells that appear and are lost ----
 
-    def come_out(
-        self, track: CellTrack, near: CellTrack, since_s: float, entered: bool
+    def note_split(
+        self, new_track: CellTrack, old_track: CellTrack, since_s: float, may_have_entered: bool
     ) -> int | None:
-        """Doubt the name of a track when a new track came out of its blob.
+        """Reduce the certainty of a track when a new track came out of its blob.
 
-        It is uncertain which of the two is the cell that was tracked.
+        It is uncertain which of the two tracks shows the cell that was tracked.
 
         Args:
-            track: The new track.
-            near: The track that it came out of.
-            since_s: When that happened [s].
-            entered: Whether the new cell may have entered the image.
+            new_track: The new track.
+            old_track: The track from whose blob the new track came.
+            since_s: When the new object was first seen [s].
+            may_have_entered: Whether the new cell may have entered the image.
 
         Returns:
-            The number of the cell that has divided. None if none has: an unknown object may have
-            been in the blob, or the new cell may have entered the image.
+            The number of the cell that has divided. None if the new cell has another origin: an
+            unknown object may have been in the blob, or the new cell may have entered the image.
         """
-        meeting = near.meeting
+        meeting = old_track.meeting
         if meeting is not None and len(meeting.tracks) > 1:
             return None
         if meeting is not None and meeting.with_unknown:
             # the two tracks show the cell and something unknown: the nearer to its copy is the cell
-            rows = np.array([near.row, track.row])
-            places, _ = self._bank.expected(rows)
-            log_densities = self._meetings.log_densities(meeting, places, np.full(2, PLACE_SD))
+            rows = np.array([old_track.row, new_track.row])
+            places, _ = self._cell_filter.predict_bodies(rows)
+            log_densities = self._meetings.log_densities(meeting, places, np.full(2, POSITION_SD))
             log_own, log_other = log_densities[:, 0].tolist()
-            near.together_s = since_s
+            old_track.together_s = since_s
             self._meetings.end(meeting)
-            self._doubt(near, 1 / (1 + math.exp(log_other - log_own)))
+            self._reduce_certainty(old_track, 1 / (1 + math.exp(log_other - log_own)))
             return None
-        if entered or near.question is not None:
+        if may_have_entered or old_track.question is not None:
             return None
-        divided = near.identity
-        near.together_s = since_s
-        self._doubt(near, EITHER_OF_TWO)
-        return divided
+        mother = old_track.identity
+        old_track.together_s = since_s
+        self._reduce_certainty(old_track, SPLIT_PROBABILITY)
+        return mother
 
-    def give_up(self, track: CellTrack) -> None:
-        """Forget a track.
+    def forget_track(self, track: CellTrack) -> None:
+        """Forget a lost track, and free its filter row.
 
-        If only one track remains in a blob that two have shared, it is uncertain which of the two
-        cells it is.
+        If only one track remains in a blob that two tracks have shared, it is uncertain which of
+        the two cells the remaining track shows.
         """
         if track.question is not None:
-            self._end(track.question)
+            self._close_question(track.question)
         if track.meeting is not None:
-            self._give_up_in(track.meeting, track)
-        self._bank.drop(track.row)
+            self._forget_in_meeting(track.meeting, track)
+        self._cell_filter.free_row(track.row)
 
-    def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
-        """Remove a track that is given up from its meeting.
+    def _forget_in_meeting(self, meeting: Meeting, track: CellTrack) -> None:
+        """Remove a lost track from its meeting.
 
         If one track remains, and its own cell is not likely enough, the meeting ends and
-        the certainty of that track's identity falls.
+        the certainty of the remaining track's identity is reduced.
         """
-        shares = self._meetings.own_shares(meeting).tolist()
+        own_probabilities = self._meetings.own_probabilities(meeting).tolist()
         remaining = [
-            (member, share)
-            for member, share in zip(meeting.tracks, shares, strict=True)
+            (member, own_probability)
+            for member, own_probability in zip(meeting.tracks, own_probabilities, strict=True)
             if member is not track
         ]
         self._meetings.leave(meeting, track)
         if len(remaining) == 1:
-            last, share = remaining[0]
-            if share < ASSERTED:
+            last_track, own_probability = remaining[0]
+            if own_probability < ASSERTED_PROBABILITY:
                 self._meetings.end(meeting)
-                self._doubt(last, share)
+                self._reduce_certainty(last_track, own_probability)
 
     # ---- answers ----
 
-    def answer(self, seconds: float) -> None:
-        """Name tracks by the most probable answers, and close the questions that are decided.
+    def answer_questions(self, seconds: float) -> None:
+        """Set identities to the most probable answers, and close the questions that are decided.
 
-        A question is also closed if it has been open for too long. `seconds` is the
-        present time.
+        A question is also closed if it has been open for too long.
+
+        Args:
+            seconds: Time of the newest image [s].
         """
         for question in list(self._questions):
-            self._name_by(question)
-            if question.ends(seconds):
-                self._end(question)
+            self._apply_best_answer(question)
+            if question.is_decided(seconds):
+                self._close_question(question)
 
     def probabilities(self, tracks: Sequence[CellTrack]) -> list[float]:
         """Compute for each track the probability that its identity is right.
 
         A track that is in no question and no meeting keeps its certainty.
         """
-        by_number: dict[int, float] = {}
+        probability_by_track: dict[int, float] = {}
         for question in self._questions:
-            order, shares = question.best()
-            for t, track in enumerate(question.tracks):
-                by_number[track.number] = float(shares[t] * question.members[order[t]].certainty)
+            assignment, track_probabilities = question.best_assignment()
+            for i, track in enumerate(question.tracks):
+                probability_by_track[track.number] = float(
+                    track_probabilities[i] * question.members[assignment[i]].certainty
+                )
         for meeting in self._meetings.running:
-            shares = self._meetings.own_shares(meeting)
-            for track, share in zip(meeting.tracks, shares.tolist(), strict=True):
+            track_probabilities = self._meetings.own_probabilities(meeting)
+            for track, own_probability in zip(
+                meeting.tracks, track_probabilities.tolist(), strict=True
+            ):
                 if track.question is None:
-                    by_number[track.number] = track.certainty * share
-        return [by_number.get(track.number, track.certainty) for track in tracks]
+                    probability_by_track[track.number] = track.certainty * own_probability
+        return [probability_by_track.get(track.number, track.certainty) for track in tracks]
 
-    def _ask(self, meeting: Meeting, places: Floats, seconds: float) -> None:
-        """Open the question which cell is on which track after a meeting.
+    def _ask_question(self, meeting: Meeting, places: Floats, seconds: float) -> None:
+        """End a meeting, and open the question of which cell is on which track.
 
         Args:
-            meeting: The meeting, which ends.
-            places: x, y [um] and axis [rad] of each track, shape (K, 3).
-            seconds: The time [s].
+            meeting: The meeting.
+            places: x, y [um] and axis [rad] of each track's blob, shape (K, 3).
+            seconds: Time of the image [s].
         """
         tracks = meeting.tracks
-        table = self._meetings.log_densities(meeting, places, np.full(len(tracks), PLACE_SD))
-        not_unknown = self._meetings.not_unknown(meeting, table)
-        prior = log_of_each(orders(len(tracks)), table)
-        rows = self._rows_of_question(meeting, places)
-        question = WhichIsWhich(meeting.members, rows, prior, not_unknown, seconds)
+        log_table = self._meetings.log_densities(meeting, places, np.full(len(tracks), POSITION_SD))
+        known_probability = self._meetings.known_probabilities(meeting, log_table)
+        log_prior = log_assignment_probabilities(all_assignments(len(tracks)), log_table)
+        rows = self._create_question_rows(meeting, places)
+        question = IdentityQuestion(meeting.members, rows, log_prior, known_probability, seconds)
         self._meetings.end(meeting)
         self._questions.append(question)
         for track in tracks:
-            self._bank.drop(track.row)
+            self._cell_filter.free_row(track.row)
             track.question = question
-        self._name_by(question)
+        self._apply_best_answer(question)
 
-    def _rows_of_question(self, meeting: Meeting, places: Floats) -> np.ndarray:
+    def _create_question_rows(self, meeting: Meeting, places: Floats) -> np.ndarray:
         """Create filter rows (K, K) that follow each track of a meeting as each of its cells.
 
-        They start from `places` (K, 3). A cell that was expected far away, or with the opposite
-        heading, is moved to the track.
+        The rows start from `places` (K, 3), where the blobs of the tracks are. If the prediction of
+        a cell is far from the track, or has the opposite heading, it is moved to the track.
         """
-        bank = self._bank
+        cell_filter = self._cell_filter
         places = places.copy()
-        heading = bank.mean[[track.row for track in meeting.tracks], HEADING]
-        places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
-        cells = len(meeting.members)
-        rows = np.zeros((cells, cells), int)
-        for t, place in enumerate(places):
-            rows[t] = [bank.copied(row) for row in meeting.rows]
-            values = np.tile(place, (cells, 1))
-            deviations = np.tile(FIRST_SD, (cells, 1))
-            _, distance = bank.update(rows[t], values, deviations)
-            backwards = np.cos(bank.mean[rows[t], HEADING] - place[2]) < 0
-            for n in np.flatnonzero((distance > FAR) | backwards).tolist():
-                moved = bank.moved(int(rows[t, n]), *place.tolist())
-                bank.drop(int(rows[t, n]))
-                rows[t, n] = moved
+        headings = cell_filter.means[[track.row for track in meeting.tracks], HEADING]
+        places[:, 2] += np.pi * np.round((headings - places[:, 2]) / np.pi)
+        n_cells = len(meeting.members)
+        rows = np.zeros((n_cells, n_cells), int)
+        for i, place in enumerate(places):
+            rows[i] = [cell_filter.copy_row(row) for row in meeting.rows]
+            values = np.tile(place, (n_cells, 1))
+            deviations = np.tile(FIRST_BLOB_SD, (n_cells, 1))
+            _, squared_distances = cell_filter.update(rows[i], values, deviations)
+            is_backwards = np.cos(cell_filter.means[rows[i], HEADING] - place[2]) < 0
+            for j in np.flatnonzero(
+                (squared_distances > FAR_SQUARED_DISTANCE) | is_backwards
+            ).tolist():
+                moved_row = cell_filter.copy_row_to(int(rows[i, j]), *place.tolist())
+                cell_filter.free_row(int(rows[i, j]))
+                rows[i, j] = moved_row
         return rows
 
-    def _name_by(self, question: WhichIsWhich) -> None:
+    def _apply_best_answer(self, question: IdentityQuestion) -> None:
         """Set the identities and filter rows of a question's tracks to its most probable answer."""
-        order, _ = question.best()
-        for t, track in enumerate(question.tracks):
-            track.identity = question.members[order[t]].name
-            track.row = int(question.rows[t, order[t]])
+        assignment, _ = question.best_assignment()
+        for i, track in enumerate(question.tracks):
+            track.identity = question.members[assignment[i]].identity
+            track.row = int(question.rows[i, assignment[i]])
 
-    def _end(self, question: WhichIsWhich) -> None:
+    def _close_question(self, question: IdentityQuestion) -> None:
         """Close a question with its most probable answer, and report that answer.
 
         The certainty of each track's identity becomes the answer's probability times the
         cell's certainty before. Filter rows of other answers become free.
         """
-        order, shares = question.best()
-        probabilities = question.probabilities()
-        self._name_by(question)
-        for t, track in enumerate(question.tracks):
-            cell = question.members[order[t]]
+        assignment, track_probabilities = question.best_assignment()
+        assignment_probabilities = question.probabilities()
+        self._apply_best_answer(question)
+        for i, track in enumerate(question.tracks):
+            cell = question.members[assignment[i]]
             track.question = None
             track.size = cell.size
-            certainty = float(shares[t]) * cell.certainty
+            certainty = float(track_probabilities[i]) * cell.certainty
             track.certainty = certainty
         kept_rows = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
             if row not in kept_rows:
-                self._bank.drop(row)
+                self._cell_filter.free_row(row)
         self._questions.remove(question)
-        names = [member.name for member in question.members]
-        self._tell(question.tracks, float(probabilities.max()), names)
+        met_identities = [member.identity for member in question.members]
+        self._report_answer(question.tracks, float(assignment_probabilities.max()), met_identities)
 
-    def _doubt(self, track: CellTrack, fraction: float) -> None:
+    def _reduce_certainty(self, track: CellTrack, probability: float) -> None:
         """Multiply the certainty of a track's identity by a probability, and report this."""
-        name_before = track.identity
-        track.certainty *= fraction
-        self._tell([track], fraction, [name_before])
+        old_identity = track.identity
+        track.certainty *= probability
+        self._report_answer([track], probability, [old_identity])
 
-    def _tell(self, tracks: Sequence[CellTrack], probability: float, met: Sequence[int]) -> None:
-        """Add an answer: the names of tracks after the cells `met` could not be distinguished."""
-        named = tuple(
-            TrackName(track.number, track.identity, track.certainty, track.together_s)
+    def _report_answer(
+        self, tracks: Sequence[CellTrack], probability: float, met_identities: Sequence[int]
+    ) -> None:
+        """Add an answer for `take_answers`: which cells are on tracks after a meeting of cells."""
+        track_identities = tuple(
+            TrackIdentity(track.number, track.identity, track.certainty, track.together_s)
             for track in tracks
         )
-        self._answers.append(CellAnswer(named, probability, tuple(met)))
+        self._answers.append(CellAnswer(track_identities, probability, tuple(met_identities)))

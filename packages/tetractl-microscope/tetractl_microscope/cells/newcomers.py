@@ -2,7 +2,7 @@
 
 A blob without a cell continues the speck to which it was assigned, or starts a new speck. A speck
 that swims as the organism does becomes a cell, and gets a row of the filter. If it came out of
-another cell's blob, `Names` doubts which of the two is the cell that was tracked.
+another cell's blob, `CellIdentities` doubts which of the two is the cell that was tracked.
 """
 
 import math
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl_microscope.cells.cell import Born, PathBlob
+from tetractl_microscope.cells.cell import CellBirth, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.helix import HelixFilter
-from tetractl_microscope.cells.meetings import FROM_BLOB
-from tetractl_microscope.cells.names import Names
-from tetractl_microscope.cells.picture_now import PictureNow
-from tetractl_microscope.cells.readings import PATH
+from tetractl_microscope.cells.meetings import SPLIT_REACH
+from tetractl_microscope.cells.names import CellIdentities
+from tetractl_microscope.cells.picture_now import NewestImage
+from tetractl_microscope.cells.readings import PATH_BLOBS
 from tetractl_microscope.cells.specks import (
     BLOBS_TO_JUDGE,
     Speck,
@@ -50,54 +50,56 @@ class FreeBlob:
 
         Its size is NaN if the image's edge cuts it off.
         """
-        x, y, axis, long, wide = self.track_blob.place.tolist()
+        x, y, axis, length, width = self.track_blob.place.tolist()
         if self.track_blob.blob.at_edge:
             return PathBlob(seconds, x, y, axis, math.nan, math.nan)
-        return PathBlob(seconds, x, y, axis, long, wide)
+        return PathBlob(seconds, x, y, axis, length, width)
 
 
 class Newcomers:
     """The specks of a dish, and how they become cells.
 
-    For each image, `follow` is called once, after the cells have their blobs and names.
+    For each image, `update` is called once, after the cells have their blobs and names.
 
     Args:
-        bank: The filter of the cells.
-        names: The names of the cells.
+        cell_filter: The filter of the cells.
+        identities: The names of the cells.
         organism: What the cells are.
     """
 
-    def __init__(self, bank: HelixFilter, names: Names, organism: Organism) -> None:
+    def __init__(
+        self, cell_filter: HelixFilter, identities: CellIdentities, organism: Organism
+    ) -> None:
         self.specks = list[Speck]()
-        self.born = list[Born]()  # the cells that began in the newest picture
-        self._bank = bank
-        self._names = names
+        self.born = list[CellBirth]()  # the cells that began in the newest picture
+        self._cell_filter = cell_filter
+        self._identities = identities
         self._organism = organism
         self._body_um = organism.body_um[0]
         self._last_number = 0  # of the newest track
 
-    def shift(self, x: float, y: float) -> None:
+    def move_by(self, x: float, y: float) -> None:
         """Move the specks by x and y [um], with the content of the image."""
         for speck in self.specks:
-            speck.shift(x, y)
+            speck.move_by(x, y)
 
-    def follow(
-        self, free_blobs: Sequence[FreeBlob], cells: Sequence[CellTrack], now: PictureNow
+    def update(
+        self, free_blobs: Sequence[FreeBlob], cells: Sequence[CellTrack], image: NewestImage
     ) -> list[CellTrack]:
         """Track specks with the blobs that belong to no cell.
 
         Args:
             free_blobs: The blobs.
             cells: The tracked cells.
-            now: The newest image.
+            image: The newest image.
 
         Returns:
             The cells that specks have become.
         """
         self.born = []
-        cell_positions_um = np.array([self._bank.mean[cell.row, :2] for cell in cells]).reshape(
-            -1, 2
-        )
+        cell_positions_um = np.array(
+            [self._cell_filter.means[cell.row, :2] for cell in cells]
+        ).reshape(-1, 2)
         new_cells = list[CellTrack]()
         for free_blob in free_blobs:
             distances_um = np.linalg.norm(
@@ -106,36 +108,36 @@ class Newcomers:
             nearest_um = float(distances_um.min(initial=np.inf))
             speck = free_blob.speck
             if speck is None:
-                is_near = nearest_um < FROM_BLOB * self._body_um
+                is_near = nearest_um < SPLIT_REACH * self._body_um
                 nearest_cell = cells[int(distances_um.argmin())] if is_near else None
                 self._last_number += 1
-                path = [free_blob.path_entry(now.seconds)]
+                path = [free_blob.path_entry(image.seconds)]
                 self.specks.append(Speck(self._last_number, path, nearest_cell))
                 continue
-            was_hidden = now.seconds - speck.path[-1].seconds > now.brief_s
-            earlier_path = [] if was_hidden else speck.path[1 - PATH :]
-            speck.path = [*earlier_path, free_blob.path_entry(now.seconds)]
+            was_hidden = image.seconds - speck.path[-1].seconds > image.short_gap_s
+            earlier_path = [] if was_hidden else speck.path[1 - PATH_BLOBS :]
+            speck.path = [*earlier_path, free_blob.path_entry(image.seconds)]
             if is_swimming(speck.path, self._organism):
-                cell = self._turn_into_cell(speck, free_blob.track_blob, cells, now)
+                cell = self._turn_into_cell(speck, free_blob.track_blob, cells, image)
                 new_cells.append(cell)
-        self._drop_hidden(now)
+        self._drop_hidden(image)
         return new_cells
 
-    def _drop_hidden(self, now: PictureNow) -> None:
+    def _drop_hidden(self, image: NewestImage) -> None:
         """Drop specks without a blob for HIDDEN_S, or for `brief_s` if their path is short."""
         remaining = list[Speck]()
         for speck in self.specks:
-            has_whole_path = len(speck.path) == PATH
-            if speck.missed_s <= (HIDDEN_S if has_whole_path else now.brief_s):
+            has_whole_path = len(speck.path) == PATH_BLOBS
+            if speck.missed_s <= (HIDDEN_S if has_whole_path else image.short_gap_s):
                 remaining.append(speck)
         self.specks = remaining
 
-    def in_view(self, now: PictureNow) -> list[tuple[float, float]]:
+    def positions_in_view(self, image: NewestImage) -> list[tuple[float, float]]:
         """Return the last position x, y [um] of each speck that is in view.
 
         A speck counts as in view until it has had no blob for `brief_s` seconds.
         """
-        newest = [speck.path[-1] for speck in self.specks if speck.missed_s < now.brief_s]
+        newest = [speck.path[-1] for speck in self.specks if speck.missed_s < image.short_gap_s]
         return [(blob.x, blob.y) for blob in newest]
 
     def cells_awaiting_specks(self) -> list[CellTrack]:
@@ -152,15 +154,15 @@ class Newcomers:
     # ---- a cell begins ----
 
     def _turn_into_cell(
-        self, speck: Speck, newest: TrackBlob, cells: Sequence[CellTrack], now: PictureNow
+        self, speck: Speck, newest_blob: TrackBlob, cells: Sequence[CellTrack], image: NewestImage
     ) -> CellTrack:
         """Turn a speck that swims into a cell.
 
         Args:
             speck: The speck.
-            newest: Its newest blob.
+            newest_blob: Its newest blob.
             cells: The existing cells.
-            now: The newest image.
+            image: The newest image.
         """
         path = np.array(speck.path)
         (speed_x, speed_y), fitted = fit_uniform_motion(path[-BLOBS_TO_JUDGE:])
@@ -168,27 +170,29 @@ class Newcomers:
         heading = math.atan2(speed_y, speed_x)
         cell = CellTrack(
             number=speck.number,
-            row=self._bank.add(x, y, heading, math.hypot(speed_x, speed_y)),
+            row=self._cell_filter.add(x, y, heading, math.hypot(speed_x, speed_y)),
             size=median_size(path),
-            last=path[-1, 1:3],
+            last_um=path[-1, 1:3],
             path=speck.path,
-            newest=newest,
-            size_seen_s=now.seconds,
-            start=np.array((x, y)),
-            began_s=now.seconds,
-            identity=self._names.take_number(),
+            newest_blob=newest_blob,
+            size_seen_s=image.seconds,
+            start_um=np.array((x, y)),
+            began_s=image.seconds,
+            identity=self._identities.new_identity(),
         )
-        divided = None
+        mother = None
         if speck.first_near is not None and speck.first_near in cells:
             since_s, first_x, first_y = path[0, :3].tolist()
-            has_entered = now.to_edge(first_x, first_y) < EDGE_ENTRY_LENGTHS * self._body_um
-            divided = self._names.come_out(cell, speck.first_near, since_s, has_entered)
+            has_entered = (
+                image.edge_distance_um(first_x, first_y) < EDGE_ENTRY_LENGTHS * self._body_um
+            )
+            mother = self._identities.note_split(cell, speck.first_near, since_s, has_entered)
         self.specks.remove(speck)
         self.born.append(
-            Born(
+            CellBirth(
                 identity=cell.identity,
                 track=cell.number,
-                divided=divided,
+                mother=mother,
             )
         )
         return cell

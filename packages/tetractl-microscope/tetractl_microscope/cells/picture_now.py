@@ -12,34 +12,36 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.detect_cells import Blob
 
-BRIEF_S = 0.1  # least time without a blob that says something of an object
-MISSING = 1.5  # times between pictures for which an object has no blob if one picture is missing
+GAP_MIN_S = 0.1  # least time without a blob that says something of an object
+GAP_PERIODS = (
+    1.5  # times between pictures for which an object has no blob if one picture is missing
+)
 
 
 @dataclass(frozen=True, slots=True)
-class PictureNow:
+class NewestImage:
     """The time and scale of the newest image.
 
     Attributes:
         seconds: Its time [s].
-        passed_s: Time since the previous image [s].
+        since_previous_s: Time since the previous image [s].
         um_px: Its scale [um/px].
         height: Its height [px].
         width: Its width [px].
     """
 
     seconds: float
-    passed_s: float
+    since_previous_s: float
     um_px: float
     height: int
     width: int
 
     @property
-    def brief_s(self) -> float:
+    def short_gap_s(self) -> float:
         """Time without a blob that is not conclusive, because an image may be missing [s]."""
-        return max(BRIEF_S, MISSING * self.passed_s)
+        return max(GAP_MIN_S, GAP_PERIODS * self.since_previous_s)
 
-    def to_edge(self, x: float, y: float) -> float:
+    def edge_distance_um(self, x: float, y: float) -> float:
         """Compute the distance of a position from the image's edge [um].
 
         Negative outside the image.
@@ -58,8 +60,8 @@ class PictureNow:
                 (blob.x + 0.5) * um_px,
                 (self.height - 0.5 - blob.y) * um_px,
                 -blob.axis,
-                blob.long * um_px,
-                blob.wide * um_px,
+                blob.length * um_px,
+                blob.width * um_px,
             )
             for blob in blobs
         ]

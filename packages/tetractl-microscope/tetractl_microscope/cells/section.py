@@ -13,8 +13,8 @@ from tetractl.spec.registry_fields import KindName
 from tetractl_microscope.pictures.picture_section import PictureSection
 from tetractl_microscope.registries import ORGANISMS
 
-LEAST_PX = 50  # least distance of the two points of a scale measurement
-PLACED_PX = 1.0  # standard deviation of each point
+DISTANCE_MIN_PX = 50  # minimum distance between the two points of a scale measurement
+POINT_SD_PX = 1.0  # standard deviation of each point's column and row
 
 Lengths = TypeVar("Lengths", float, Floats)
 
@@ -56,22 +56,22 @@ class CellsSection(PictureSection):
         Raises:
             UsageError: If the points are too close together.
         """
-        across = second[0] - first[0]
-        up = first[1] - second[1]
-        across = -across if self.mirrored else across
-        long = math.hypot(across, up)
-        if long < LEAST_PX:
+        across_px = second[0] - first[0]
+        up_px = first[1] - second[1]
+        across_px = -across_px if self.mirrored else across_px
+        distance_px = math.hypot(across_px, up_px)
+        if distance_px < DISTANCE_MIN_PX:
             raise UsageError(
-                f"the two points are only {long:.3g} px apart, but at least {LEAST_PX} px are "
-                "needed"
+                f"the two points are only {distance_px:.3g} px apart, but at least "
+                f"{DISTANCE_MIN_PX} px are needed"
             )
-        um_px = um / long
-        rotation = -math.atan2(up, across)
-        off = math.sqrt(2) * PLACED_PX / long
+        um_px = um / distance_px
+        rotation = -math.atan2(up_px, across_px)
+        relative_sd = math.sqrt(2) * POINT_SD_PX / distance_px
         lines = (
-            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if the points are accurate to "
-            f"{PLACED_PX:g} px",
-            f"rotation {rotation:.4f} rad +- {off:.4f}",
+            f"{um_px:.4f} um/px +- {relative_sd * um_px:.4f}, if the points are accurate to "
+            f"{POINT_SD_PX:g} px",
+            f"rotation {rotation:.4f} rad +- {relative_sd:.4f}",
         )
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 

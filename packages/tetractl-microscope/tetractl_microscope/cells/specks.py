@@ -46,7 +46,7 @@ class Speck:
     def position_at(self, seconds: float) -> tuple[float, float]:
         """Extrapolate the speck's motion to a time [s], and return the position x, y [um].
 
-        After STOPPED_S without a blob, it is the last position.
+        After EXTRAPOLATION_MAX_S without a blob, the position stays at the last blob.
         """
         newest = self.path[-1]
         if len(self.path) < 2 or self.missed_s > EXTRAPOLATION_MAX_S:
@@ -55,7 +55,7 @@ class Speck:
         ratio = (seconds - newest.seconds) / max(newest.seconds - earlier.seconds, 1e-3)
         return newest.x + (newest.x - earlier.x) * ratio, newest.y + (newest.y - earlier.y) * ratio
 
-    def shift(self, x: float, y: float) -> None:
+    def move_by(self, x: float, y: float) -> None:
         """Shift the recorded path by x and y [um], after the camera has moved by this distance."""
         self.path = [blob.moved(x, y) for blob in self.path]
 
@@ -63,7 +63,7 @@ class Speck:
 def is_swimming(blobs: Sequence[PathBlob], organism: Organism) -> bool:
     """Check whether an object is a swimming organism.
 
-    Its newest BORN blobs must have the organism's size, and move fast and straight.
+    Its newest BLOBS_TO_JUDGE blobs must have the organism's size, and move fast and straight.
     """
     path = np.array(blobs[-BLOBS_TO_JUDGE:])
     body_um = organism.body_um[0]
@@ -112,5 +112,5 @@ def fit_uniform_motion(path: Floats) -> tuple[tuple[float, float], Floats]:
     mean = path[:, :3].mean(axis=0)
     times = path[:, 0] - mean[0]
     offsets_um = path[:, 1:3] - mean[1:]
-    vx, vy = (times @ offsets_um / (times @ times)).tolist()
-    return (vx, vy), mean[1:] + times[:, None] * (vx, vy)
+    speed_x, speed_y = (times @ offsets_um / (times @ times)).tolist()
+    return (speed_x, speed_y), mean[1:] + times[:, None] * (speed_x, speed_y)

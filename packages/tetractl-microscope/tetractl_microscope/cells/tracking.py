@@ -2,7 +2,7 @@
 
 Every object has a track. An object that has not yet swum is a *speck*, which is predicted by its
 last motion. A speck that swims becomes a *cell*, with a row in the filter, which predicts the cell
-for the known field. `CellTracker.see` performs these steps for each image:
+for the known field. `CellTracker.track_image` performs these steps for each image:
 
 1. the filter predicts all cells at the time of the image, and the finder finds the blobs;
 2. `match` assigns blobs to tracks: each track has one blob or none, and several cells may share
@@ -26,21 +26,21 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
+from tetractl_microscope.cells.cell import CellAnswer, CellBirth, SeenCell
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.detect_cells import Blob, BlobFinder
 from tetractl_microscope.cells.filter_update import update_filter
-from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
-from tetractl_microscope.cells.meetings import FROM_BLOB
-from tetractl_microscope.cells.names import Names
+from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, nowhere_near_wall
+from tetractl_microscope.cells.meetings import SPLIT_REACH
+from tetractl_microscope.cells.names import CellIdentities
 from tetractl_microscope.cells.newcomers import EDGE_ENTRY_LENGTHS, FreeBlob, Newcomers
-from tetractl_microscope.cells.picture_now import PictureNow
+from tetractl_microscope.cells.picture_now import NewestImage
 from tetractl_microscope.cells.readings import (
     BlobReading,
     note_own_blob,
-    note_own_reading,
     own_reading,
     shared_readings,
+    update_size,
 )
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
@@ -68,12 +68,12 @@ class CellsInBlob:
     """A blob, and the cells that it shows.
 
     Attributes:
-        newest: The blob.
+        track_blob: The blob and its place.
         cells: The K cells.
         expected: Expected x, y [um] and axis [rad] of each cell, shape (K, 3).
     """
 
-    newest: TrackBlob
+    track_blob: TrackBlob
     cells: list[CellTrack]
     expected: Floats
 
@@ -87,34 +87,34 @@ class CellTracker:
     Args:
         um_px: Scale of the images [um/px].
         field_known: Whether the field is known.
-        near_wall: Returns where a wall may turn cells.
-        organism: Decides which objects are cells.
+        near_wall: Function that returns where a wall may turn cells.
+        organism: The organism. Its sizes and speeds decide which objects are cells.
     """
 
     def __init__(
         self,
         um_px: float,
         field_known: bool,
-        near_wall: NearWall = open_water,
+        near_wall: NearWall = nowhere_near_wall,
         organism: Organism = TETRAHYMENA,
     ) -> None:
-        least_um2 = organism.wide_um[0] * organism.body_um[1]
-        most_um2 = BLOB_AREAS_MAX * organism.outline_um2[1]
+        area_min_um2 = organism.wide_um[0] * organism.body_um[1]
+        area_max_um2 = BLOB_AREAS_MAX * organism.outline_um2[1]
         self.um_px = um_px
-        self.finder = BlobFinder(least_um2 / um_px**2, most_um2 / um_px**2)
+        self.finder = BlobFinder(area_min_um2 / um_px**2, area_max_um2 / um_px**2)
         self.answers: Sequence[CellAnswer] = ()  # to questions that the newest picture decided
-        self.bank = HelixFilter(field_known, near_wall, organism)
-        self._names = Names(self.bank, organism.body_um[0])
-        self._newcomers = Newcomers(self.bank, self._names, organism)
+        self.cell_filter = HelixFilter(field_known, near_wall, organism)
+        self._identities = CellIdentities(self.cell_filter, organism.body_um[0])
+        self._newcomers = Newcomers(self.cell_filter, self._identities, organism)
         self._cells = list[CellTrack]()  # in the order of their numbers
-        self._seconds: float | None = None  # time of the newest picture
+        self._previous_s: float | None = None  # time of the newest picture
 
     @property
-    def born(self) -> Sequence[Born]:
+    def born(self) -> Sequence[CellBirth]:
         """The cells that were recognised for the first time in the newest image."""
         return self._newcomers.born
 
-    def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
+    def track_image(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
         """Find and track the cells in an image.
 
         Images must be given in the order of time, after the finder has learned the background.
@@ -127,39 +127,39 @@ class CellTracker:
         Returns:
             The estimates of all cells that were seen recently.
         """
-        now = self._describe_picture(picture, seconds)
-        self._predict_cells(now, field)
+        image = self._describe_picture(picture, seconds)
+        self._predict_cells(image, field)
         blobs = self._find_blobs(picture)
-        groups, free = self._assign_blobs(blobs, now)
-        self._update_cells(groups, now)
-        self._update_names(groups, now)
-        for cell in self._newcomers.follow(free, self._cells, now):
+        groups, free_blobs = self._assign_blobs(blobs, image)
+        self._update_cells(groups, image)
+        self._update_identities(groups, image)
+        for cell in self._newcomers.update(free_blobs, self._cells, image):
             bisect.insort(self._cells, cell, key=lambda cell: cell.number)
-        self._end_cells(now)
-        self.finder.follow(self._cell_rectangles(now))
-        self._seconds = seconds
-        self.answers = self._names.take_answers()
-        hidden_s = max(HIDDEN_S, now.brief_s)
+        self._drop_cells(image)
+        self.finder.update_background(self._cell_rectangles(image))
+        self._previous_s = seconds
+        self.answers = self._identities.take_answers()
+        hidden_s = max(HIDDEN_S, image.short_gap_s)
         return self._estimates([cell for cell in self._cells if cell.missed_s < hidden_s])
 
     # ---- step 1: cells are predicted, and blobs found ----
 
-    def _describe_picture(self, picture: Grey, seconds: float) -> PictureNow:
+    def _describe_picture(self, picture: Grey, seconds: float) -> NewestImage:
         """Describe the newest image: its time, the time since the previous one, and its size.
 
         That time is 0 for the first image.
         """
         height, width = picture.shape
-        passed_s = 0.0 if self._seconds is None else seconds - self._seconds
-        return PictureNow(seconds, passed_s, self.um_px, height, width)
+        passed_s = 0.0 if self._previous_s is None else seconds - self._previous_s
+        return NewestImage(seconds, passed_s, self.um_px, height, width)
 
-    def _predict_cells(self, now: PictureNow, field: FieldPieces) -> None:
+    def _predict_cells(self, image: NewestImage, field: FieldPieces) -> None:
         """Predict the states of the cells from the previous image to the newest.
 
         Nothing is predicted for the first image.
         """
-        pieces = () if self._seconds is None else field(self._seconds, now.seconds)
-        self.bank.predict(pieces)
+        pieces = () if self._previous_s is None else field(self._previous_s, image.seconds)
+        self.cell_filter.predict(pieces)
 
     def _find_blobs(self, picture: Grey) -> list[Blob]:
         """Find the blobs of an image that are longer than the organism's shortest outline.
@@ -167,27 +167,27 @@ class CellTracker:
         If a knock has shifted the image, all objects are moved with it. The list is empty
         if the light is lost.
         """
-        blobs = self.finder.find(picture)
+        blobs = self.finder.find_blobs(picture)
         light = self.finder.light
-        (shortest_um, _), _ = self.bank.organism.outline_um
+        (shortest_um, _), _ = self.cell_filter.organism.outline_um
         columns, rows = light.shift_px
         if columns or rows:
-            self._shift(columns * self.um_px, -rows * self.um_px)
+            self._move_objects(columns * self.um_px, -rows * self.um_px)
         if light.lost:
             return []
-        return [blob for blob in blobs if blob.long * self.um_px > shortest_um]
+        return [blob for blob in blobs if blob.length * self.um_px > shortest_um]
 
-    def _shift(self, x: float, y: float) -> None:
+    def _move_objects(self, x: float, y: float) -> None:
         """Move all objects by x and y [um], with the content of the image."""
-        self.bank.mean[:, :2] += x, y
-        self._newcomers.shift(x, y)
+        self.cell_filter.means[:, :2] += x, y
+        self._newcomers.move_by(x, y)
         for cell in self._cells:
-            cell.shift(x, y)
+            cell.move_by(x, y)
 
     # ---- step 2: blobs are assigned to tracks ----
 
     def _assign_blobs(
-        self, blobs: Sequence[Blob], now: PictureNow
+        self, blobs: Sequence[Blob], image: NewestImage
     ) -> tuple[list[CellsInBlob], list[FreeBlob]]:
         """Assign blobs to cells and specks.
 
@@ -196,51 +196,55 @@ class CellTracker:
         """
         cells = self._cells
         specks = self._newcomers.specks
-        places = now.places_of(blobs)
-        organism = self.bank.organism
-        expected, spread = self.bank.expected(np.array([cell.row for cell in cells], int))
-        costs = match.cell_costs(cells, expected, spread, blobs, places, now, organism)
-        speck_costs = match.speck_costs(specks, places, now.seconds, now.passed_s, organism)
-        assignment = match.assigned(costs, speck_costs)
+        places = image.places_of(blobs)
+        organism = self.cell_filter.organism
+        expected, covariances = self.cell_filter.predict_bodies(
+            np.array([cell.row for cell in cells], int)
+        )
+        costs = match.cell_costs(cells, expected, covariances, blobs, places, image, organism)
+        speck_costs = match.speck_costs(
+            specks, places, image.seconds, image.since_previous_s, organism
+        )
+        assignment = match.assign_blobs(costs, speck_costs)
         # a cell that has stopped or turned by itself is where the filter does not expect it
         for cell, blob, is_away in zip(cells, assignment.of_cells, costs.is_away, strict=True):
             if blob is not None and is_away[blob]:
-                self.bank.loosen([cell.row])
+                self.cell_filter.widen([cell.row])
         track_blobs = [TrackBlob(index, blob, places[index]) for index, blob in enumerate(blobs)]
-        groups = self._give_cells(assignment.of_cells, track_blobs, expected, now)
-        return groups, self._give_specks(assignment, track_blobs, now)
+        groups = self._assign_to_cells(assignment.of_cells, track_blobs, expected, image)
+        return groups, self._assign_to_specks(assignment, track_blobs, image)
 
-    def _give_cells(
+    def _assign_to_cells(
         self,
-        blob_of: Sequence[int | None],
+        blob_of_cell: Sequence[int | None],
         track_blobs: Sequence[TrackBlob],
         expected: Floats,
-        now: PictureNow,
+        image: NewestImage,
     ) -> list[CellsInBlob]:
         """Give the cells their blobs, and return each blob together with its cells.
 
-        `blob_of` holds the index in `track_blobs` of each cell's blob.
+        `blob_of_cell` holds the index in `track_blobs` of each cell's blob.
         """
         cells_of: dict[int, list[int]] = {}
-        for i, blob in enumerate(blob_of):
+        for i, blob in enumerate(blob_of_cell):
             if blob is None:
-                self._cells[i].newest = None
-                self._cells[i].missed_s += now.passed_s
+                self._cells[i].newest_blob = None
+                self._cells[i].missed_s += image.since_previous_s
             else:
                 cells_of.setdefault(blob, []).append(i)
         groups = list[CellsInBlob]()
         for blob, indices in cells_of.items():
-            newest = track_blobs[blob]
-            newest.is_shared = len(indices) > 1
+            track_blob = track_blobs[blob]
+            track_blob.is_shared = len(indices) > 1
             cells = [self._cells[i] for i in indices]
             for cell in cells:
-                cell.newest = newest
+                cell.newest_blob = track_blob
                 cell.missed_s = 0.0
-            groups.append(CellsInBlob(newest, cells, expected[indices]))
+            groups.append(CellsInBlob(track_blob, cells, expected[indices]))
         return groups
 
-    def _give_specks(
-        self, assignment: match.Assignment, track_blobs: Sequence[TrackBlob], now: PictureNow
+    def _assign_to_specks(
+        self, assignment: match.Assignment, track_blobs: Sequence[TrackBlob], image: NewestImage
     ) -> list[FreeBlob]:
         """Give the specks their blobs, and return all blobs without a cell.
 
@@ -250,7 +254,7 @@ class CellTracker:
         speck_by_blob = {}
         for speck, blob in zip(self._newcomers.specks, assignment.of_specks, strict=True):
             if blob is None:
-                speck.missed_s += now.passed_s
+                speck.missed_s += image.since_previous_s
             else:
                 speck.missed_s = 0.0
                 speck_by_blob[blob] = speck
@@ -263,97 +267,103 @@ class CellTracker:
 
     # ---- step 3: blobs update the states ----
 
-    def _update_cells(self, groups: Sequence[CellsInBlob], now: PictureNow) -> None:
+    def _update_cells(self, groups: Sequence[CellsInBlob], image: NewestImage) -> None:
         """Update the cells' states with their blobs, after all meetings of cells are known.
 
         While it is an open question which cell is on a track, several rows of the filter are
         updated.
         """
         for group in groups:
-            if group.newest.is_shared:
-                self._note_meeting(group.cells, now)
+            if group.track_blob.is_shared:
+                self._note_meeting(group.cells, image)
         for group in groups:
-            if not group.newest.is_shared:
-                self._note_own(group.cells[0], group.newest, now)
-        readings = [reading for group in groups for reading in self._measure_cells(group, now)]
-        update_filter(self.bank, readings, now.seconds, self.bank.organism.body_um[0])
+            if not group.track_blob.is_shared:
+                self._note_own_blob(group.cells[0], group.track_blob, image)
+        readings = [reading for group in groups for reading in self._measure_cells(group, image)]
+        update_filter(
+            self.cell_filter, readings, image.seconds, self.cell_filter.organism.body_um[0]
+        )
         for reading in readings:
-            if not reading.newest.is_shared:
-                note_own_reading(reading)
-            reading.cell.last = reading.newest.place[:2]
+            if not reading.track_blob.is_shared:
+                update_size(reading)
+            reading.cell.last_um = reading.track_blob.place[:2]
 
-    def _note_own(self, cell: CellTrack, newest: TrackBlob, now: PictureNow) -> None:
+    def _note_own_blob(self, cell: CellTrack, track_blob: TrackBlob, image: NewestImage) -> None:
         """Note the size of a cell's own blob.
 
         A blob that is cut off or too large may also show another cell.
         """
-        note_own_blob(cell, newest, now.seconds)
+        note_own_blob(cell, track_blob, image.seconds)
         # at the picture's edge, a cell that enters may take the blob of one that leaves
-        is_cut = newest.blob.at_edge and not cell.is_new
-        if (newest.is_large or is_cut) and cell.question is None:
-            self._note_meeting([cell], now)
+        is_cut = track_blob.blob.at_edge and not cell.is_new
+        if (track_blob.is_large or is_cut) and cell.question is None:
+            self._note_meeting([cell], image)
 
-    def _measure_cells(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
+    def _measure_cells(self, group: CellsInBlob, image: NewestImage) -> list[BlobReading]:
         """Convert a blob to the measurements of its cells."""
-        body_um = self.bank.organism.body_um[0]
-        if group.newest.is_shared:
-            return shared_readings(group.cells, group.newest, group.expected, now, body_um)
+        body_um = self.cell_filter.organism.body_um[0]
+        if group.track_blob.is_shared:
+            return shared_readings(group.cells, group.track_blob, group.expected, image, body_um)
         (cell,) = group.cells
         (expected,) = group.expected
-        return [own_reading(cell, group.newest, expected, now, body_um)]
+        return [own_reading(cell, group.track_blob, expected, image, body_um)]
 
     # ---- step 4: which cell is which ----
 
-    def _note_meeting(self, cells: Sequence[CellTrack], now: PictureNow) -> None:
+    def _note_meeting(self, cells: Sequence[CellTrack], image: NewestImage) -> None:
         """Record that cells are not distinguished, and whether an unknown object may join them."""
-        self._names.meet(cells, now.seconds, any(self._may_join(cell, now) for cell in cells))
+        self._identities.note_meeting(
+            cells, image.seconds, any(self._may_join(cell, image) for cell in cells)
+        )
 
-    def _may_join(self, cell: CellTrack, now: PictureNow) -> bool:
+    def _may_join(self, cell: CellTrack, image: NewestImage) -> bool:
         """Check whether an untracked object may be about to enter a cell's blob."""
         if cell.is_new:
             return True
-        body_um = self.bank.organism.body_um[0]
-        x, y = self.bank.mean[cell.row, :2].tolist()
-        if now.to_edge(x, y) < EDGE_ENTRY_LENGTHS * body_um:
+        body_um = self.cell_filter.organism.body_um[0]
+        x, y = self.cell_filter.means[cell.row, :2].tolist()
+        if image.edge_distance_um(x, y) < EDGE_ENTRY_LENGTHS * body_um:
             return True
-        specks = self._newcomers.in_view(now)
-        return any(math.dist(speck, (x, y)) < FROM_BLOB * body_um for speck in specks)
+        specks = self._newcomers.positions_in_view(image)
+        return any(math.dist(speck, (x, y)) < SPLIT_REACH * body_um for speck in specks)
 
-    def _update_names(self, groups: Sequence[CellsInBlob], now: PictureNow) -> None:
+    def _update_identities(self, groups: Sequence[CellsInBlob], image: NewestImage) -> None:
         """End the meetings of cells that are apart again, and close decided questions."""
         places: dict[int, Floats] = {}
         for group in groups:
             for cell in group.cells:
-                places[cell.number] = group.newest.place[:3]
-        self._names.part(places, self._newcomers.cells_awaiting_specks(), now.seconds)
-        self._names.answer(now.seconds)
+                places[cell.number] = group.track_blob.place[:3]
+        self._identities.end_meetings(
+            places, self._newcomers.cells_awaiting_specks(), image.seconds
+        )
+        self._identities.answer_questions(image.seconds)
 
     # ---- step 6: cells are dropped ----
 
-    def _end_cells(self, now: PictureNow) -> None:
+    def _drop_cells(self, image: NewestImage) -> None:
         """Drop cells that have not been seen for long, have left the image, or do not swim.
 
         A new cell does not swim if it has not swum far enough in the time that the slowest cell
         needs. Cells that have swum far enough are no longer new.
         """
-        organism = self.bank.organism
+        organism = self.cell_filter.organism
         slowest_s = NEW_CELL_LENGTHS * organism.body_um[0] / organism.slowest_um_s
         remaining = list[CellTrack]()
         for cell in self._cells:
-            x, y = self.bank.mean[cell.row, :2].tolist()
-            at_edge = now.to_edge(x, y) < NEAR_EDGE_LENGTHS * cell.size.long
-            lost_s = max(LOST_S, now.brief_s)
+            x, y = self.cell_filter.means[cell.row, :2].tolist()
+            at_edge = image.edge_distance_um(x, y) < NEAR_EDGE_LENGTHS * cell.size.length
+            lost_s = max(LOST_S, image.short_gap_s)
             if at_edge or cell.is_new:
                 lost_s = LOST_SOON_S / organism.quickness
             is_lost = cell.missed_s > lost_s
             has_swum = self._has_swum(cell)
-            does_not_swim = not has_swum and now.seconds - cell.began_s > slowest_s
+            does_not_swim = not has_swum and image.seconds - cell.began_s > slowest_s
             if is_lost or does_not_swim or not math.isfinite(x + y):
-                self._names.give_up(cell)
+                self._identities.forget_track(cell)
                 continue
             remaining.append(cell)
             if has_swum:
-                cell.start = None
+                cell.start_um = None
         self._cells = remaining
 
     def _has_swum(self, cell: CellTrack) -> bool:
@@ -361,22 +371,22 @@ class CellTracker:
 
         A cell stays so once it has.
         """
-        if cell.start is None:
+        if cell.start_um is None:
             return True
-        distance_um = math.dist(cell.last.tolist(), cell.start.tolist())
-        return distance_um > NEW_CELL_LENGTHS * self.bank.organism.body_um[0]
+        distance_um = math.dist(cell.last_um.tolist(), cell.start_um.tolist())
+        return distance_um > NEW_CELL_LENGTHS * self.cell_filter.organism.body_um[0]
 
     # ---- results ----
 
-    def _cell_rectangles(self, now: PictureNow) -> list[tuple[int, int, int, int]]:
+    def _cell_rectangles(self, image: NewestImage) -> list[tuple[int, int, int, int]]:
         """Return rectangles around the cells in which the background is not updated.
 
         Each is left, top, right and bottom [px].
         """
-        states = self.bank.mean[[cell.row for cell in self._cells]]
+        states = self.cell_filter.means[[cell.row for cell in self._cells]]
         rectangles = list[tuple[int, int, int, int]]()
-        for cell, (column, row) in zip(self._cells, now.pixels_of(states).tolist(), strict=True):
-            reach_px = REACH_LENGTHS * cell.size.long / self.um_px + REACH_PX
+        for cell, (column, row) in zip(self._cells, image.pixels_of(states).tolist(), strict=True):
+            reach_px = REACH_LENGTHS * cell.size.length / self.um_px + REACH_PX
             first_column = round(column - reach_px)
             last_column = round(column + reach_px)
             first_row = round(row - reach_px)
@@ -390,15 +400,15 @@ class CellTracker:
         A cell without a blob in this image has its predicted place.
         """
         rows = np.array([cell.row for cell in cells], int)
-        places, _ = self.bank.expected(rows)
-        means = self.bank.mean[rows]
-        sds = np.sqrt(np.diagonal(self.bank.covariance[rows], axis1=1, axis2=2))
-        probabilities = self._names.probabilities(cells)
+        places, _ = self.cell_filter.predict_bodies(rows)
+        means = self.cell_filter.means[rows]
+        sds = np.sqrt(np.diagonal(self.cell_filter.covariances[rows], axis1=1, axis2=2))
+        probabilities = self._identities.probabilities(cells)
         seen_cells = list[SeenCell]()
         for i, cell in enumerate(cells):
             x, y, axis = places[i].tolist()
-            newest = cell.newest
-            shows_others = newest is not None and (newest.is_shared or newest.is_large)
+            track_blob = cell.newest_blob
+            shows_others = track_blob is not None and (track_blob.is_shared or track_blob.is_large)
             seen_cells.append(
                 SeenCell(
                     identity=cell.identity,
@@ -410,11 +420,11 @@ class CellTracker:
                     mean=means[i],
                     sd=sds[i],
                     probability=probabilities[i],
-                    has_blob=newest is not None,
+                    has_blob=track_blob is not None,
                     merged=shows_others,
-                    long_um=cell.size.long,
-                    wide_um=cell.size.wide,
-                    blob_um=None if newest is None else newest.whole_place,
+                    long_um=cell.size.length,
+                    wide_um=cell.size.width,
+                    blob_um=None if track_blob is None else track_blob.whole_place,
                 ).on_blob()
             )
         return seen_cells

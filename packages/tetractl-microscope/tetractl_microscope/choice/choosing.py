@@ -12,11 +12,13 @@ from tetractl.spec.experiment import Experiment, Robot, dealt
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.section import Choice, choice_of
 
-UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
-MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
+# Maximum difference of ln a of two robots that makes a choice better.
+UNLIKENESS_MAX = 0.4
+# Maximum difference of ln a or ln speed at which a cell can be the wanted one.
+LOG_DIFFERENCE_MAX = 0.3
 
 
-def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
+def choose_cells(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
     """Choose the cells that become the robots of a trial.
 
     Only the 14 cells with the largest turning rates among those that respond to the field are
@@ -34,23 +36,25 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
         AbortError: If too few cells respond to the field, or if a wanted cell is missing.
     """
     choice = choice_of(experiment)
-    able = [cell for cell in cells if cell.magnetised]
-    if len(able) < choice.choose:
+    responding_cells = [cell for cell in cells if cell.magnetised]
+    if len(responding_cells) < choice.choose:
         raise AbortError(
-            f"only {len(able)} of {len(cells)} cells respond to the field, but {choice.choose} "
-            "are needed",
+            f"only {len(responding_cells)} of {len(cells)} cells respond to the field, but "
+            f"{choice.choose} are needed",
             "use more cells or a stronger field, or choose fewer robots in the spec",
         )
-    able = sorted(able, key=lambda cell: -cell.a)[:14]  # more would have very many combinations
+    responding_cells = sorted(responding_cells, key=lambda cell: -cell.a)[
+        :14
+    ]  # more would have very many combinations
     if choice.wanted:
-        return _found_again(choice, able)
-    combinations_of_cells = combinations(able, choice.choose)
+        return _find_wanted(choice, responding_cells)
+    combinations_of_cells = combinations(responding_cells, choice.choose)
     return list(
         max(combinations_of_cells, key=lambda cells_chosen: rate_choice(cells_chosen, experiment))
     )
 
 
-def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
+def with_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
     """Return the experiment with the chosen cells as its robots.
 
     The robots start at the cells' poses. Targets are assigned so that the sum of the squared
@@ -92,10 +96,10 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
         cells that are neighbours in the order of turning rates. It is inf for a single cell.
     """
     order = np.argsort(a)
-    logs = np.log(a[order])
-    sd = a_sd[order] / a[order]  # of the logarithms
-    sd_of_difference = np.hypot(sd[1:], sd[:-1])
-    return float(np.min(np.diff(logs) - sd_of_difference, initial=np.inf))
+    log_rates = np.log(a[order])
+    log_sd = a_sd[order] / a[order]  # of the logarithms
+    difference_sd = np.hypot(log_sd[1:], log_sd[:-1])
+    return float(np.min(np.diff(log_rates) - difference_sd, initial=np.inf))
 
 
 def rate_choice(
@@ -109,21 +113,23 @@ def rate_choice(
 
     Returns:
         A tuple that compares like any tuple. Its entries are: whether all cells are free and stay
-        clear of walls for 0.5 s, their `unlikeness` up to UNLIKE, and their minimum turning rate
-        [rad/s].
+        clear of walls for 0.5 s, their `unlikeness` up to UNLIKENESS_MAX, and their minimum turning
+        rate [rad/s].
     """
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
     # cells that could swim to the arena's edge within half a second are chosen last
     stays_inside = bool((arena.depth_inside(x, y) > 0.5 * speed).all())
-    free = stays_inside and all(cell.free for cell in cells)
+    are_all_free = stays_inside and all(cell.free for cell in cells)
     a = np.array([cell.a for cell in cells])
-    apart = unlikeness(a, np.array([cell.a_sd for cell in cells]))
-    return free, min(apart, UNLIKE), float(a.min())
+    cell_unlikeness = unlikeness(a, np.array([cell.a_sd for cell in cells]))
+    return are_all_free, min(cell_unlikeness, UNLIKENESS_MAX), float(a.min())
 
 
-def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> RobotCandidate | None:
+def find_most_similar(
+    setup: Setup, robot: int, cells: Sequence[RobotCandidate]
+) -> RobotCandidate | None:
     """Find the cell that is most similar to a robot in turning rate and speed.
 
     Args:
@@ -132,32 +138,33 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> Rob
         cells: The cells to choose from.
 
     Returns:
-        The cell, or None if no cell is similar: ln a or ln speed differs by more than MISSED.
+        The cell, or None if no cell is similar: ln a or ln speed differs by more than
+            LOG_DIFFERENCE_MAX.
     """
     if not cells:
         return None
-    wanted = np.log([setup.a[robot], setup.speed[robot]])
-    in_view = np.log([(cell.a, cell.speed) for cell in cells])
-    off = np.abs(in_view - wanted).max(axis=1)
-    best = int(off.argmin())
-    return None if off[best] > MISSED else cells[best]
+    log_robot = np.log([setup.a[robot], setup.speed[robot]])
+    log_cells = np.log([(cell.a, cell.speed) for cell in cells])
+    log_differences = np.abs(log_cells - log_robot).max(axis=1)
+    best = int(log_differences.argmin())
+    return None if log_differences[best] > LOG_DIFFERENCE_MAX else cells[best]
 
 
-def _found_again(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
+def _find_wanted(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
     """Find a different cell for each of `choice.wanted`, similar in turning rate and speed.
 
     Raises:
         AbortError: If a wanted cell is not found.
     """
-    wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
-    in_view = np.log([(cell.a, cell.speed) for cell in cells])
-    dealt_cells = dealt(wanted, in_view)
-    for want, i in zip(wanted, dealt_cells, strict=True):
-        if np.abs(want - in_view[i]).max() > MISSED:
-            a, speed = np.exp(want)
+    log_wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
+    log_cells = np.log([(cell.a, cell.speed) for cell in cells])
+    cell_indices = dealt(log_wanted, log_cells)
+    for log_pair, i in zip(log_wanted, cell_indices, strict=True):
+        if np.abs(log_pair - log_cells[i]).max() > LOG_DIFFERENCE_MAX:
+            a, speed = np.exp(log_pair)
             raise AbortError(
                 f"the cell with turning rate {a:.2f} rad/s and speed {speed:.0f} length units/s "
                 "was not found again",
                 "survey the dish again with `tetractl lab survey`",
             )
-    return [cells[i] for i in dealt_cells]
+    return [cells[i] for i in cell_indices]

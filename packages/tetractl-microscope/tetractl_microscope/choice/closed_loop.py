@@ -91,39 +91,39 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
         problem: The robots' poses and parameters, and their targets.
         signals: Directions of the field, shape (L,) [rad].
     """
-    robots = len(problem.a)
-    length = len(signals)
+    n_robots = len(problem.a)
+    n_signals = len(signals)
     path = predict(problem, signals)
-    seconds = np.full(length, problem.period)
-    seconds[0] = problem.first_period
-    step_derivatives = _step_derivatives(problem, path[:-1, :, 2], signals, seconds)
+    durations_s = np.full(n_signals, problem.period)
+    durations_s[0] = problem.first_period
+    step_derivatives = _step_derivatives(problem, path[:-1, :, 2], signals, durations_s)
     step_by_heading, step_by_signal, step_by_a, step_by_speed = step_derivatives
 
     # g_j, backwards in time
-    by_heading = np.zeros((length + 1, robots, 2))
-    for j in reversed(range(length)):
-        through_turn = by_heading[j + 1] * step_by_heading[j, :, 2:]
-        by_heading[j] = step_by_heading[j, :, :2] + through_turn
-    later = by_heading[1:]
+    by_heading = np.zeros((n_signals + 1, n_robots, 2))
+    for j in reversed(range(n_signals)):
+        by_turn = by_heading[j + 1] * step_by_heading[j, :, 2:]
+        by_heading[j] = step_by_heading[j, :, :2] + by_turn
+    heading_after = by_heading[1:]
 
-    def of_ends(of_step: Floats) -> Floats:
+    def propagate_to_ends(step_derivative: Floats) -> Floats:
         """Convert the derivatives of one step (L, N, 3) to those of the ends (L, N, 2)."""
-        return of_step[..., :2] + later * of_step[..., 2:]
+        return step_derivative[..., :2] + heading_after * step_derivative[..., 2:]
 
     ends = path[-1]
-    facing = np.stack([np.cos(ends[:, 2]), np.sin(ends[:, 2])], axis=-1)
-    onward = problem.period * problem.speed[:, None] * facing
+    end_directions = np.stack([np.cos(ends[:, 2]), np.sin(ends[:, 2])], axis=-1)
+    onward = problem.period * problem.speed[:, None] * end_directions
     to_targets = ends[:, :2] - problem.targets
-    by_signal = of_ends(step_by_signal).transpose(1, 2, 0)  # (N, 2, L)
+    by_signal = propagate_to_ends(step_by_signal).transpose(1, 2, 0)  # (N, 2, L)
     return Linear(
         miss=np.hypot(to_targets[:, 0], to_targets[:, 1]),
-        by_signal=by_signal.reshape(2 * robots, length),
+        by_signal=by_signal.reshape(2 * n_robots, n_signals),
         by_heading=by_heading,
-        by_a=of_ends(step_by_a),
-        by_speed=of_ends(step_by_speed),
+        by_a=propagate_to_ends(step_by_a),
+        by_speed=propagate_to_ends(step_by_speed),
         turn_by_a=step_by_a[..., 2],
-        onward=onward.reshape(2 * robots, 1),
-        seconds=seconds,
+        onward=onward.reshape(2 * n_robots, 1),
+        seconds=durations_s,
     )
 
 
@@ -233,10 +233,10 @@ def end_covariance(
     Returns:
         The covariance of x_1, y_1, x_2, ..., shape (2N, 2N) [length unit^2].
     """
-    robots = len(plan.miss)
-    zeros = np.zeros((2 * robots, 2 * robots))
-    of_parameters = np.repeat([noise.a_std**2, noise.speed_std**2], robots)
-    uncertainty = Uncertainty(ends=zeros, cross=zeros, parameters=of_parameters)
+    n_robots = len(plan.miss)
+    zeros = np.zeros((2 * n_robots, 2 * n_robots))
+    parameter_variances = np.repeat([noise.a_std**2, noise.speed_std**2], n_robots)
+    uncertainty = Uncertainty(ends=zeros, cross=zeros, parameters=parameter_variances)
     for signal in range(len(plan.seconds)):
         if corrects:
             uncertainty = _after_correction(uncertainty, plan, noise, signal)
@@ -253,22 +253,27 @@ def _after_correction(
     ends_covariance = uncertainty.ends
     eye = np.eye(len(ends_covariance))
     correction_effects = np.hstack([SIGNAL_STD_RAD * plan.by_signal[:, signal:], plan.onward])
-    correctable = correction_effects @ correction_effects.T
-    measurement = noise.position_std**2 * eye + noise.heading_std**2 * _block_diagonal(
+    correctable_covariance = correction_effects @ correction_effects.T
+    measurement_covariance = noise.position_std**2 * eye + noise.heading_std**2 * _block_diagonal(
         plan.by_heading[signal]
     )
-    trace_sum = np.trace(correctable) + np.trace(ends_covariance) + np.trace(measurement)
+    trace_sum = (
+        np.trace(correctable_covariance)
+        + np.trace(ends_covariance)
+        + np.trace(measurement_covariance)
+    )
     regularisation = max(REGULARISATION * trace_sum, REGULARISATION_MIN) * eye
     remaining_factor = (
         eye
         - np.linalg.solve(
-            correctable + ends_covariance + measurement + regularisation, correctable
+            correctable_covariance + ends_covariance + measurement_covariance + regularisation,
+            correctable_covariance,
         ).T
     )  # 1 - C
     corrected_factor = eye - remaining_factor
     return Uncertainty(
         ends=remaining_factor @ ends_covariance @ remaining_factor.T
-        + corrected_factor @ measurement @ corrected_factor.T,
+        + corrected_factor @ measurement_covariance @ corrected_factor.T,
         cross=remaining_factor @ uncertainty.cross,
         parameters=uncertainty.parameters,
     )
@@ -280,15 +285,21 @@ def _after_motion(uncertainty: Uncertainty, plan: Linear, noise: Noise, signal: 
         [_stack_in_columns(plan.by_a[signal]), _stack_in_columns(plan.by_speed[signal])]
     )
     variances = uncertainty.parameters
-    ends = (
+    end_covariance_after = (
         uncertainty.ends
         + derivatives @ (variances[:, None] * derivatives.T)
         + derivatives @ uncertainty.cross.T
         + uncertainty.cross @ derivatives.T
     )
-    middle = (plan.by_heading[signal] + plan.by_heading[signal + 1]) / 2
-    walk = noise.heading_walk**2 * plan.seconds[signal] * _block_diagonal(middle)
-    return Uncertainty(ends + walk, uncertainty.cross + derivatives * variances, variances)
+    mid_derivatives = (plan.by_heading[signal] + plan.by_heading[signal + 1]) / 2
+    walk_covariance = (
+        noise.heading_walk**2 * plan.seconds[signal] * _block_diagonal(mid_derivatives)
+    )
+    return Uncertainty(
+        end_covariance_after + walk_covariance,
+        uncertainty.cross + derivatives * variances,
+        variances,
+    )
 
 
 def _after_identification(
@@ -320,14 +331,14 @@ def information(plan: Linear, noise: Noise, signal: int) -> Floats:
     turn_variance = (
         2 * noise.heading_std**2 + noise.heading_walk**2 * plan.seconds[signal] + VARIANCE_MIN
     )
-    of_a = plan.turn_by_a[signal] ** 2 / turn_variance
+    a_information = plan.turn_by_a[signal] ** 2 / turn_variance
     path_squared = np.square(plan.by_speed[signal]).sum(
         axis=1
     )  # a path is proportional to the speed
     path_variance = np.maximum(2 * noise.position_std**2, VARIANCE_MIN * path_squared)
-    of_speed = np.zeros_like(path_squared)
-    np.divide(path_squared, path_variance, out=of_speed, where=path_variance > 0)
-    return np.concatenate([of_a, of_speed])
+    speed_information = np.zeros_like(path_squared)
+    np.divide(path_squared, path_variance, out=speed_information, where=path_variance > 0)
+    return np.concatenate([a_information, speed_information])
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
@@ -345,27 +356,27 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
         The mean distances, shape (N,) [length unit].
     """
     variances = np.linalg.eigvalsh(covariance_of_each_robot(covariance))  # (N, 2), ascending
-    smaller, larger = np.maximum(variances, 0.0).T
-    roundness = np.ones_like(miss)
-    np.divide(smaller, larger, out=roundness, where=larger > 0)
-    length = np.sqrt(2 / np.pi * larger) * ellipe(1 - roundness)
-    return np.hypot(length, miss)
+    minor_variance, major_variance = np.maximum(variances, 0.0).T
+    variance_ratio = np.ones_like(miss)
+    np.divide(minor_variance, major_variance, out=variance_ratio, where=major_variance > 0)
+    mean_deviation = np.sqrt(2 / np.pi * major_variance) * ellipe(1 - variance_ratio)
+    return np.hypot(mean_deviation, miss)
 
 
 def covariance_of_each_robot(covariance: Floats) -> Floats:
     """Extract each robot's covariance (N, 2, 2) from the joint covariance (2N, 2N)."""
-    count = len(covariance) // 2
-    robots = np.arange(count)
-    return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]
+    n_robots = len(covariance) // 2
+    robots = np.arange(n_robots)
+    return covariance.reshape(n_robots, 2, n_robots, 2)[robots, :, robots, :]
 
 
 def _stack_in_columns(vectors: Floats) -> Floats:
     """Arrange vectors (N, 2) in a matrix (2N, N): column i has vector i in rows 2i and 2i + 1."""
-    count = len(vectors)
-    robots = np.arange(count)
-    columns = np.zeros((count, 2, count))
+    n_vectors = len(vectors)
+    robots = np.arange(n_vectors)
+    columns = np.zeros((n_vectors, 2, n_vectors))
     columns[robots, :, robots] = vectors
-    return columns.reshape(2 * count, count)
+    return columns.reshape(2 * n_vectors, n_vectors)
 
 
 def _block_diagonal(vectors: Floats) -> Floats:

@@ -15,7 +15,7 @@ from tetractl.plant.sim_section import SimSection
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.plants import PreparedTrial
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.choosing import chosen_from, settled
+from tetractl_microscope.choice.choosing import choose_cells, with_robots
 from tetractl_microscope.choice.dish_abilities import SettlesRobots, tracker_of
 from tetractl_microscope.choice.scattered_cells import scattered_cells
 from tetractl_microscope.choice.section import choice_of
@@ -54,7 +54,7 @@ def prepare(
         raise UsageError(f"a plant of type {plant.type} has no cells to choose the robots from")
     random = generator(seed, RandomStream.TRIAL_ROBOTS)
     cells = scattered_cells(choice_of(experiment), experiment.setup, random)
-    chosen_experiment = settled(experiment, chosen_from(experiment, cells))
+    chosen_experiment = with_robots(experiment, choose_cells(experiment, cells))
     return PreparedTrial(
         chosen_experiment, plant.build(chosen_experiment.setup, clock, seed, supervision)
     )
@@ -76,8 +76,8 @@ def _in_a_dish(
     try:
         turned = int(seed.generate_state(1)[0])
         cells = turn_field(rig, choice_of(experiment), turned, supervision)
-        chosen = chosen_from(experiment, cells)
-        settled_experiment = settled(experiment, chosen)
+        chosen = choose_cells(experiment, cells)
+        settled_experiment = with_robots(experiment, chosen)
         settle(rig, settled_experiment.setup, chosen)
         return PreparedTrial(settled_experiment, lab.plant(rig, supervision))
     except BaseException:

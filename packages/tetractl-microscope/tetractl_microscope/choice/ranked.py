@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.spec.experiment import Experiment
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.choosing import rate_choice, settled
+from tetractl_microscope.choice.choosing import rate_choice, with_robots
 from tetractl_microscope.choice.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl_microscope.choice.first_plans import planner, plans
 from tetractl_microscope.choice.section import choice_of
@@ -18,7 +18,7 @@ COMPARED = 40  # number of choices whose errors are predicted: those with the mo
 ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 4), (0.1, 1.0))
 PLANS_MAX = 1000  # largest number of plans of a choice
 # difference of log(a) below which cells cannot be distinguished in time after they meet
-ALIKE = 0.08
+SIMILAR_LOG_DIFFERENCE = 0.08
 
 
 class RankedChoice:
@@ -35,8 +35,8 @@ class RankedChoice:
     ) -> None:
         self.cells = tuple(cells)
         self._errors: list[float] = []  # of plans that reach the targets
-        self._more = self._predictions(settled(experiment, cells), noise)
-        self._tried = 0
+        self._remaining_errors = self._predictions(with_robots(experiment, cells), noise)
+        self._tried_count = 0
 
     @staticmethod
     def _predictions(trial: Experiment, noise: Noise) -> Iterator[float | None]:
@@ -61,8 +61,8 @@ class RankedChoice:
         Returns:
             The choice itself.
         """
-        for error in islice(self._more, max(0, count - self._tried)):
-            self._tried += 1
+        for error in islice(self._remaining_errors, max(0, count - self._tried_count)):
+            self._tried_count += 1
             if error is not None:
                 self._errors.append(error)
         return self
@@ -81,7 +81,7 @@ class RankedChoice:
         return [cell.number for cell in self.cells]
 
 
-def ranked(
+def rank_choices(
     experiment: Experiment,
     cells: Sequence[RobotCandidate],
     noise: Noise,
@@ -112,32 +112,34 @@ def ranked(
         The choices of the last round, best first. Empty if there is no possible choice.
     """
     choice = choice_of(experiment)
-    able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
+    responding_cells = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     distinguishable = [
-        chosen for chosen in combinations(able, choice.choose) if not any(similar_pairs(chosen))
+        chosen
+        for chosen in combinations(responding_cells, choice.choose)
+        if not any(similar_pairs(chosen))
     ]
-    by_worth = sorted(
+    sorted_choices = sorted(
         distinguishable,
         key=lambda chosen: (all(cell.free for cell in chosen), rate_choice(chosen, experiment)),
     )
     candidates = [
-        RankedChoice(experiment, chosen, noise) for chosen in by_worth[: -COMPARED - 1 : -1]
+        RankedChoice(experiment, chosen, noise) for chosen in sorted_choices[: -COMPARED - 1 : -1]
     ]
-    most = len(candidates)
-    counts = [min(max(5, round(share * most)), most) for share, _ in ROUNDS]
-    done = 0
-    for count, (_, share) in zip(counts, ROUNDS, strict=True):
+    n_choices = len(candidates)
+    counts = [min(max(5, round(fraction * n_choices)), n_choices) for fraction, _ in ROUNDS]
+    done_count = 0
+    for count, (_, fraction) in zip(counts, ROUNDS, strict=True):
         for candidate in candidates[:count]:
-            candidate.along(math.ceil(share * plans))
-            done += 1
-            on_done(done, sum(counts))
-        candidates[:count] = sorted(candidates[:count], key=_order)
+            candidate.along(math.ceil(fraction * plans))
+            done_count += 1
+            on_done(done_count, sum(counts))
+        candidates[:count] = sorted(candidates[:count], key=_sort_key)
         if candidates and math.isinf(candidates[0].error):
             break  # no plan reaches the targets, and more plans of the same choices would not
     return candidates[: counts[-1]]
 
 
-def _order(candidate: RankedChoice) -> tuple[bool, bool, float]:
+def _sort_key(candidate: RankedChoice) -> tuple[bool, bool, float]:
     """Return the sort key of a choice. The best choice has the smallest key.
 
     Choices with a plan come first, then those without a cell near the edge, then small errors.
@@ -154,5 +156,5 @@ def similar_pairs(
     Cells that do not respond to the field are ignored.
     """
     for first, second in combinations([cell for cell in cells if cell.magnetised], 2):
-        if abs(math.log(first.a / second.a)) < ALIKE:
+        if abs(math.log(first.a / second.a)) < SIMILAR_LOG_DIFFERENCE:
             yield first, second

@@ -25,7 +25,7 @@ from tetractl.model.motion.exact import rates
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 from tetractl_microscope.coils.driver import (
     HINT,
-    REPLY_S,
+    REPLY_MAX_S,
     UNKNOWN_TEMPERATURE,
     VERSION,
     Driver,
@@ -34,11 +34,11 @@ from tetractl_microscope.coils.driver import (
 )
 from tetractl_microscope.coils.section import FieldSection, Pair, approach
 
-OFF: Pair = (0.0, 0.0)
+NO_CURRENT: Pair = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Requested:
+class RequestedCurrents:
     """Currents that were requested from the driver.
 
     Attributes:
@@ -80,8 +80,8 @@ class FieldActuator:
         self._clock = clock
         self._reference_mt = section.reference_mt(setup)
         self._lock = threading.Lock()
-        before_ns = clock.now() - self.period_ns
-        self._requested = Requested(OFF, before_ns, before_ns)
+        previous_ns = clock.now() - self.period_ns
+        self._requested = RequestedCurrents(NO_CURRENT, previous_ns, previous_ns)
 
     def __enter__(self) -> Self:
         try:
@@ -134,15 +134,17 @@ class FieldActuator:
         with self._lock:
             now_ns = self._clock.now()
             section = self.section
-            wished = self.coils.currents(
+            target = self.coils.currents(
                 action.direction, self._reference_mt, section.current_max_a
             )
-            passed_ns = min(now_ns - self._requested.sent_ns, self.period_ns)
-            currents = approach(self._now(now_ns), wished, self._room(passed_ns))
+            elapsed_ns = min(now_ns - self._requested.sent_ns, self.period_ns)
+            currents = approach(
+                self._present_currents(now_ns), target, self._max_change(elapsed_ns)
+            )
             x_ma, y_ma = (round(1000 * current) for current in currents)
             sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
             held_until_ns = sent_ns + round(section.watchdog * SECOND)
-            self._requested = Requested(currents, sent_ns, held_until_ns)
+            self._requested = RequestedCurrents(currents, sent_ns, held_until_ns)
         headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
         return self._transmission(action, sent_ns, (x_ma / 1000, y_ma / 1000), headings)
 
@@ -158,13 +160,13 @@ class FieldActuator:
             AbortError: If the port has failed.
         """
         with self._lock:
-            currents = self._now(self._clock.now())
+            currents = self._present_currents(self._clock.now())
             flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
             # three frames, so that one damaged frame does not lose the stop
             sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
-            self._requested = Requested(currents, sent_ns, held_until_ns=sent_ns)
+            self._requested = RequestedCurrents(currents, sent_ns, held_until_ns=sent_ns)
         no_turning = np.full(len(self._a), np.nan)
-        return self._transmission(Stop(), sent_ns, OFF, no_turning)
+        return self._transmission(Stop(), sent_ns, NO_CURRENT, no_turning)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Return one status per cell at once, with `answers` None, because cells cannot be polled.
@@ -184,14 +186,14 @@ class FieldActuator:
             return Health(problems=(error.message,))
         return inspect(reply, self.section, self._reference_mt)
 
-    def _room(self, passed_ns: int) -> float:
+    def _max_change(self, passed_ns: int) -> float:
         """Return the maximum change of a current [A] within a time [ns]."""
         return self.section.slew_max_a_s * passed_ns / SECOND
 
-    def _now(self, now_ns: int) -> Pair:
+    def _present_currents(self, now_ns: int) -> Pair:
         """Compute the driver's set points [A] at a time [ns]. Without commands, they fall to 0."""
         falling_ns = max(0, now_ns - self._requested.held_until_ns)
-        return approach(self._requested.currents, OFF, self._room(falling_ns))
+        return approach(self._requested.currents, NO_CURRENT, self._max_change(falling_ns))
 
     def _transmission(
         self, action: Action, sent_ns: int, currents: Pair, headings: Floats
@@ -202,70 +204,70 @@ class FieldActuator:
         0 for a cell whose heading is NaN.
         """
         x_mt, y_mt = self.coils.field(currents)
-        strength = float(np.hypot(x_mt, y_mt))
-        towards = float(np.arctan2(y_mt, x_mt))
-        a = self._a * (strength / self._reference_mt)
-        turning = rates(headings, towards, a, self._speed)[2]
+        strength_mt = float(np.hypot(x_mt, y_mt))
+        direction = float(np.arctan2(y_mt, x_mt))
+        a = self._a * (strength_mt / self._reference_mt)
+        turning_rates = rates(headings, direction, a, self._speed)[2]
         return Transmission(
             action,
             sent_ns,
             (True,) * len(self._a),
             speed=self._speed.copy(),
-            turning=np.nan_to_num(turning),
+            turning=np.nan_to_num(turning_rates),
             outputs={
                 "current_x_a": currents[0],
                 "current_y_a": currents[1],
-                "field_mt": strength,
-                "field_direction_rad": towards,
+                "field_mt": strength_mt,
+                "field_direction_rad": direction,
             },
         )
 
 
-def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -> Health:
+def inspect(reply: FieldReply | None, section: FieldSection, needed_mt: float) -> Health:
     """Check the driver's reply before a run.
 
     Args:
         reply: The reply. None if the driver does not reply.
         section: The actuator's section of the spec.
-        wanted_mt: The field strength that is needed [mT].
+        needed_mt: The field strength that is needed [mT].
 
     Returns:
         Problems that prevent a run, warnings, and facts about the driver for the log.
     """
     if reply is None:
-        where = f"{section.port} at {section.baud} baud"
-        return Health((f"no current driver answers on {where}: is the driver switched on?",))
+        port_text = f"{section.port} at {section.baud} baud"
+        return Health((f"no current driver answers on {port_text}: is the driver switched on?",))
     if reply.version != VERSION:
-        text = (
+        problem = (
             f"the current driver uses protocol version {reply.version}, but tetractl needs "
             f"version {VERSION}"
         )
-        return Health((text,))
-    most_a = reply.current_max_ma / 1000
-    slew_a_s = reply.slew_ma_s / 1000
-    volts = reply.supply_mv / 1000
-    celsius = reply.temperature_dc / 10
+        return Health((problem,))
+    current_max_a = reply.current_max_ma / 1000
+    slew_max_a_s = reply.slew_ma_s / 1000
+    supply_v = reply.supply_mv / 1000
+    temperature_c = reply.temperature_dc / 10
     has_temperature = reply.temperature_dc != UNKNOWN_TEMPERATURE
     limit_ma = round(1000 * section.current_max_a)
-    least_mt = section.coils.least_reach(section.current_max_a)
+    reachable_mt = section.coils.least_reach(section.current_max_a)
     facts = {
         "field_driver_version": str(reply.version),
-        "field_driver_current_max_a": f"{most_a:g}",
-        "field_driver_slew_a_s": f"{slew_a_s:g}",
+        "field_driver_current_max_a": f"{current_max_a:g}",
+        "field_driver_slew_a_s": f"{slew_max_a_s:g}",
         "field_driver_watchdog_s": f"{reply.watchdog_ms / 1000:g}",
         "field_driver_frames_rejected": str(reply.rejected),
     }
-    if volts:
-        facts["field_driver_supply_v"] = f"{volts:g}"
+    if supply_v:
+        facts["field_driver_supply_v"] = f"{supply_v:g}"
     if has_temperature:
-        facts["field_driver_temperature_c"] = f"{celsius:g}"
+        facts["field_driver_temperature_c"] = f"{temperature_c:g}"
     problems = {
         (
-            f"the current driver allows only {most_a:g} A, but the spec {section.current_max_a:g} "
-            "A: lower current_max_a in the spec"
+            f"the current driver allows only {current_max_a:g} A, but the spec "
+            f"{section.current_max_a:g} A: lower current_max_a in the spec"
         ): reply.current_max_ma < limit_ma,
         (
-            f"the current driver allows only {slew_a_s:g} A/s, but the spec "
+            f"the current driver allows only {slew_max_a_s:g} A/s, but the spec "
             f"{section.slew_max_a_s:g} A/s: lower slew_max_a_s in the spec"
         ): reply.slew_ma_s < round(1000 * section.slew_max_a_s),
         (
@@ -278,23 +280,26 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
         "the current driver is emergency-stopped: switch it off and on again": (
             DriverStatus.EMERGENCY_STOPPED in reply.status
         ),
-        f"the supply voltage of the current driver is {volts:.2f} V": 0
-        < volts
+        f"the supply voltage of the current driver is {supply_v:.2f} V": 0
+        < supply_v
         < section.supply_min_v,
-        f"the coils are at {celsius:.0f} °C: let them cool down": has_temperature and celsius >= 60,
+        f"the coils are at {temperature_c:.0f} °C: let them cool down": has_temperature
+        and temperature_c >= 60,
     }
     warnings = {
         (
-            f"the coils can make only {least_mt:.3g} of {wanted_mt:g} mT in every direction: in "
-            "some directions, cells will turn more slowly"
-        ): least_mt < wanted_mt,
+            f"the coils can make only {reachable_mt:.3g} of {needed_mt:g} mT in every direction: "
+            "in some directions, cells will turn more slowly"
+        ): reachable_mt < needed_mt,
         (
-            f"the current driver allows {most_a:g} A: only tetractl, and not the driver, limits "
-            f"the current to {section.current_max_a:g} A"
+            f"the current driver allows {current_max_a:g} A: only tetractl, and not the driver, "
+            f"limits the current to {section.current_max_a:g} A"
         ): reply.current_max_ma > limit_ma,
-        "the current driver does not report its supply voltage": section.supply_min_v > volts == 0,
+        "the current driver does not report its supply voltage": section.supply_min_v
+        > supply_v
+        == 0,
     }
-    return Health(_holding(problems), _holding(warnings), facts)
+    return Health(_select_true(problems), _select_true(warnings), facts)
 
 
 def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> str:
@@ -313,7 +318,7 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
         for _ in range(STOPS):
             actuator.stop(emergency=True)
             clock.sleep_until(clock.now() + STOP_GAP_NS)
-        if alone and not wait_for(clock, lambda: driver.is_emergency_stopped, REPLY_S):
+        if alone and not wait_for(clock, lambda: driver.is_emergency_stopped, REPLY_MAX_S):
             raise AbortError(
                 f"sent {STOPS} stops, but no current driver on {section.port} at {section.baud} "
                 "baud has confirmed that it stopped",
@@ -324,6 +329,6 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
     return f"sent {STOPS} stops"
 
 
-def _holding(lines: dict[str, bool]) -> tuple[str, ...]:
-    """Return the messages whose condition holds, in the order of `lines`."""
-    return tuple(text for text, holds in lines.items() if holds)
+def _select_true(condition_by_message: dict[str, bool]) -> tuple[str, ...]:
+    """Return the messages whose condition holds, in the order of `condition_by_message`."""
+    return tuple(message for message, is_true in condition_by_message.items() if is_true)

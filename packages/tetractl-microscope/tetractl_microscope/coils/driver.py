@@ -109,12 +109,12 @@ def decode_reply(frame: bytes) -> FieldReply:
     Raises:
         WireError: If the frame is not a valid reply.
     """
-    sequence, status, *rest = unpack_fields(_REPLY, REPLY, frame)
-    return FieldReply(sequence, DriverStatus(status & 31), *rest)
+    sequence, status, *values = unpack_fields(_REPLY, REPLY, frame)
+    return FieldReply(sequence, DriverStatus(status & 31), *values)
 
 
-SILENCE_NS = SECOND // 2
-REPLY_S = 0.1
+SILENCE_MAX_NS = SECOND // 2
+REPLY_MAX_S = 0.1
 """Maximum wait for a reply [s]: a driver needs 4 ms at 115200 baud, 50 ms at 9600."""
 HINT = "the watchdog of the current driver switches the field off; the cells swim on"
 
@@ -137,15 +137,15 @@ class Driver:
     ) -> None:
         self.newest: FieldReply | None = None
         self._clock = clock
-        make = ports or SerialPort
-        self._port = make(port, baud, "the current driver", clock, self._hear, HINT)
+        create_port = ports or SerialPort
+        self._port = create_port(port, baud, "the current driver", clock, self._receive, HINT)
         self._splitter = Splitter()
         self._lock = threading.Lock()
         self._sequence = clock.now() % 256  # a first number that no one can foretell
-        self._latched = Flag(0)
+        self._latched_flags = Flag(0)
         # number of frames since the last reply, and when the first of them was sent
-        self._unanswered = 0
-        self._unanswered_ns = 0
+        self._unanswered_count = 0
+        self._unanswered_since_ns = 0
 
     @property
     def failure(self) -> str | None:
@@ -158,7 +158,7 @@ class Driver:
         if self._port.failure is not None:
             return self._port.failure
         # some replies may be lost, or late
-        if self._unanswered > 5 and now_ns - self._unanswered_ns > SILENCE_NS:
+        if self._unanswered_count > 5 and now_ns - self._unanswered_since_ns > SILENCE_MAX_NS:
             return "the current driver does not answer any more"
         if newest is not None and DriverStatus.HOT in newest.status:
             return (
@@ -206,13 +206,15 @@ class Driver:
             AbortError: If sending fails.
         """
         with self._lock:
-            self._latched |= flags & Flag.EMERGENCY_STOP
+            self._latched_flags |= flags & Flag.EMERGENCY_STOP
             self._sequence = (self._sequence + 1) % 256
-            command = FieldCommand(self._sequence, flags | self._latched | Flag.POLL, x_ma, y_ma)
+            command = FieldCommand(
+                self._sequence, flags | self._latched_flags | Flag.POLL, x_ma, y_ma
+            )
             sent_ns = self._port.write(encode_command(command))
-            if self._unanswered == 0:
-                self._unanswered_ns = sent_ns
-            self._unanswered += 1
+            if self._unanswered_count == 0:
+                self._unanswered_since_ns = sent_ns
+            self._unanswered_count += 1
         return sent_ns
 
     def ask(self) -> FieldReply | None:
@@ -229,13 +231,13 @@ class Driver:
         self.newest = None
         for _ in range(5):
             self.send(Flag(0))
-            wanted = self._sequence
+            sequence = self._sequence
             wait_for(
                 self._clock,
-                lambda w=wanted: self._port.failure is not None or self._answered(w),
-                REPLY_S,
+                lambda number=sequence: self._port.failure is not None or self._answered(number),
+                REPLY_MAX_S,
             )
-            if self._answered(wanted):
+            if self._answered(sequence):
                 return self.newest
         return None
 
@@ -250,9 +252,9 @@ class Driver:
         """
         return self.newest is not None and self.newest.sequence == sequence
 
-    def _hear(self, data: bytes, now_ns: int) -> None:
+    def _receive(self, data: bytes, now_ns: int) -> None:
         with self._lock:
             for frame in self._splitter.feed(data):
                 with suppress(WireError):  # a damaged reply counts as missing
                     self.newest = decode_reply(frame)
-                    self._unanswered = 0
+                    self._unanswered_count = 0

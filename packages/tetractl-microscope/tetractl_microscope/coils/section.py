@@ -20,20 +20,20 @@ from tetractl.spec.yaml.problems import Loc
 Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
 
 
-def approach(now: Pair, wished: Pair, step: float) -> Pair:
+def approach(present: Pair, target: Pair, step_max: float) -> Pair:
     """Return the currents after one step straight towards the wanted currents.
 
     Args:
-        now: The present currents.
-        wished: The wanted currents. They are returned if one step reaches them.
-        step: Maximum change of each component.
+        present: The present currents.
+        target: The wanted currents. They are returned if one step reaches them.
+        step_max: Maximum change of each component.
     """
-    dx = wished[0] - now[0]
-    dy = wished[1] - now[1]
-    peak = max(abs(dx), abs(dy))
-    if peak <= step:
-        return wished
-    return now[0] + dx * step / peak, now[1] + dy * step / peak
+    dx = target[0] - present[0]
+    dy = target[1] - present[1]
+    largest_change = max(abs(dx), abs(dy))
+    if largest_change <= step_max:
+        return target
+    return present[0] + dx * step_max / largest_change, present[1] + dy * step_max / largest_change
 
 
 FRAMES_PER_WATCHDOG = 3
@@ -76,13 +76,13 @@ class CoilsSection(Model):
         Returns:
             The strength [mT].
         """
-        strength = math.inf
+        strength_mt = math.inf
         for axis, pair in zip(self._axes(direction), (self.x, self.y), strict=True):
-            offset = math.copysign(pair.offset_mt, pair.offset_mt * axis)
+            offset_mt = math.copysign(pair.offset_mt, pair.offset_mt * axis)
             if axis:
-                room = abs(pair.gain_mt_a) * current_max_a + offset
-                strength = min(strength, room / abs(axis))
-        return strength
+                available_mt = abs(pair.gain_mt_a) * current_max_a + offset_mt
+                strength_mt = min(strength_mt, available_mt / abs(axis))
+        return strength_mt
 
     def least_reach(self, current_max_a: float) -> float:
         """Compute the field strength [mT] that can be reached in every direction.
@@ -114,8 +114,8 @@ class CoilsSection(Model):
 
     def field(self, currents: Pair) -> Pair:
         """Compute the field (x, y) [mT] of the coil currents (x, y) [A], along the spec's axes."""
-        pairs = zip((self.x, self.y), currents, strict=True)
-        x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs)
+        pairs_with_currents = zip((self.x, self.y), currents, strict=True)
+        x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs_with_currents)
         cos = math.cos(self.rotation)
         sin = math.sin(self.rotation)
         return cos * x - sin * y, sin * x + cos * y
@@ -161,8 +161,10 @@ class FieldSection(ActuatorSection):
                 message = f"is too small to cancel the ambient field coils.{name}.offset_mt"
                 raise inconsistent("current_max_a", message)
         if self.rate * self.watchdog < FRAMES_PER_WATCHDOG:
-            least = FRAMES_PER_WATCHDOG / self.rate
-            raise inconsistent("watchdog", f"must be {least:.3g} s or more at {self.rate:g} Hz")
+            watchdog_min_s = FRAMES_PER_WATCHDOG / self.rate
+            raise inconsistent(
+                "watchdog", f"must be {watchdog_min_s:.3g} s or more at {self.rate:g} Hz"
+            )
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:

@@ -35,7 +35,8 @@ from tetractl_microscope.pictures.searches import (
 )
 from tetractl_microscope.pictures.source import decoded
 
-ENDS_WITHIN_S = 2.0  # a thread that has not ended by then is left to end with the process
+# Maximum wait for a thread to stop. A thread that runs longer ends with the process.
+THREAD_STOP_MAX_S = 2.0
 
 Join = Callable[[Callable[[bytes], None]], Feed]
 """Opens a source in memory, which calls a function with each picture, a JPEG file."""
@@ -75,22 +76,22 @@ class PictureQueue:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._waiting: NumberedPicture | None = None
+        self._queued: NumberedPicture | None = None
         self._closed = False
         self.skipped = 0
 
     def put(self, picture: NumberedPicture, live: bool) -> None:
         """Add an image to the queue, which has space for one.
 
-        If the source is live, it replaces an image that waits. Otherwise, it is added when the
-        space is free. Nothing happens once the queue is closed.
+        If the source is live, the image replaces an image that still waits. Otherwise, the method
+        waits until the space is free. Nothing happens once the queue is closed.
         """
         with self._changed:
-            if live and self._waiting is not None:
+            if live and self._queued is not None:
                 self.skipped += 1
             elif not live:
-                self._changed.wait_for(lambda: self._waiting is None or self._closed)
-            self._waiting = picture
+                self._changed.wait_for(lambda: self._queued is None or self._closed)
+            self._queued = picture
             self._changed.notify_all()
 
     def take(self) -> NumberedPicture | None:
@@ -100,11 +101,11 @@ class PictureQueue:
             The image. None once the queue is closed.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting is not None or self._closed)
+            self._changed.wait_for(lambda: self._queued is not None or self._closed)
             if self._closed:
                 return None
-            picture = self._waiting
-            self._waiting = None
+            picture = self._queued
+            self._queued = None
             self._changed.notify_all()
             return picture
 
@@ -121,7 +122,7 @@ class PictureQueue:
 
 
 class PictureSearches(Generic[R]):
-    """The results of the searches, and why no more will follow.
+    """The results of the searches of images, and the reason why no more will follow.
 
     The camera's threads write it, and the program's own thread reads it, under one lock
     (`changed`).
@@ -192,7 +193,7 @@ class PictureCamera(ABC, Generic[R]):
     frame.
 
     Only the searching thread uses `_size`, `_newest_picture`, and what a subclass adds. Only that
-    thread counts in `_unread`.
+    thread counts in `_undecoded_count`.
 
     Args:
         section: The fields of the camera in the spec.
@@ -219,8 +220,8 @@ class PictureCamera(ABC, Generic[R]):
         self._searches = PictureSearches[R]()
         self._size: tuple[int, ...] | None = None  # height and width of the first picture
         self._newest_picture: Grey | None = None
-        self._unread = 0  # number of pictures that could not be decoded
-        self._joined = 0  # number of pictures of a source in memory
+        self._undecoded_count = 0  # number of pictures that could not be decoded
+        self._memory_count = 0  # number of pictures of a source in memory
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> R | None:
@@ -243,9 +244,11 @@ class PictureCamera(ABC, Generic[R]):
 
         It waits for KEPT_SEARCHES more images, or the source's end, up to `connect`.
         """
-        enough = self._searches.newest_number() + KEPT_SEARCHES
+        last_number = self._searches.newest_number() + KEPT_SEARCHES
         self._wait(
-            lambda: self._searches.newest_number() >= enough or bool(self._searches.end_reason),
+            lambda: (
+                self._searches.newest_number() >= last_number or bool(self._searches.end_reason)
+            ),
             self._source.connect,
         )
         searches = self._searches.last()
@@ -257,17 +260,17 @@ class PictureCamera(ABC, Generic[R]):
             None if self._feed is None else self._feed.rate_hz,
             self.damaged,
         )
-        of_robots = self._health(searches)
+        robots_health = self._health(searches)
         facts = {
             "source": self._source.source_name,
-            **of_robots.facts,
+            **robots_health.facts,
             **self._stream_facts(searches),
             "damaged": str(self.damaged),
             "skipped": str(self._queue.skipped),
         }
         return Health(
-            (*problems, *of_robots.problems),
-            (*warnings, *of_robots.warnings),
+            (*problems, *robots_health.problems),
+            (*warnings, *robots_health.warnings),
             facts,
             emulated=self.emulated,
         )
@@ -275,7 +278,7 @@ class PictureCamera(ABC, Generic[R]):
     @property
     def damaged(self) -> int:
         """Number of images and of parts of the stream that could not be decoded."""
-        return self._unread + (0 if self._feed is None else self._feed.damaged)
+        return self._undecoded_count + (0 if self._feed is None else self._feed.damaged)
 
     @property
     def emulated(self) -> bool:
@@ -295,41 +298,43 @@ class PictureCamera(ABC, Generic[R]):
         Raises:
             AbortError: If none arrives.
         """
-        wait_s = self._source.connect
+        timeout_s = self._source.connect
         if self._join is not None:
             self._feed = self._join(self._search_jpeg)
         else:
-            feed = self._source.source.open(self._clock, wait_s)
+            feed = self._source.source.open(self._clock, timeout_s)
             self._feed = feed
-            reading = threading.Thread(
-                target=self._read, args=(feed,), name="pictures", daemon=True
+            reading_thread = threading.Thread(
+                target=self._read_source, args=(feed,), name="pictures", daemon=True
             )
-            finding = threading.Thread(target=self._find, name="finding", daemon=True)
-            self._threads = [reading, finding]
+            search_thread = threading.Thread(target=self._search_queue, name="finding", daemon=True)
+            self._threads = [reading_thread, search_thread]
         for thread in self._threads:
             thread.start()
-        if not self._wait(lambda: self._searches.newest_number() > 0, wait_s):
-            ended = self._searches.end_reason  # closing the source ends it too
+        if not self._wait(lambda: self._searches.newest_number() > 0, timeout_s):
+            end_reason = self._searches.end_reason  # closing the source ends it too
             self.__exit__()
             name = self._source.source_name
-            if self._newest_picture is not None and not ended:
+            if self._newest_picture is not None and not end_reason:
                 raise AbortError(
                     f"images come from {name}, but none was searched to its end within "
-                    f"{wait_s:g} s",
+                    f"{timeout_s:g} s",
                     "is this computer busy? With a larger lab.camera.connect, tetractl waits "
                     "longer",
                 )
             damaged = f"{self.damaged} images were damaged" if self.damaged else None
-            raise AbortError(f"no image came from {name} within {wait_s:g} s", ended or damaged)
+            raise AbortError(
+                f"no image came from {name} within {timeout_s:g} s", end_reason or damaged
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop both threads and close the source. It waits up to ENDS_WITHIN_S for each thread."""
+        """Stop both threads and close the source. Waits up to THREAD_STOP_MAX_S for each thread."""
         self._queue.close()
         if self._feed is not None:
             self._feed.interrupt()
         for thread in self._threads:
-            thread.join(ENDS_WITHIN_S)
+            thread.join(THREAD_STOP_MAX_S)
 
     def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
         """Describe resolution, image rate and search time. Unknown ones are left out."""
@@ -343,7 +348,7 @@ class PictureCamera(ABC, Generic[R]):
             facts["search"] = f"{search_ms(searches):.1f} ms"
         return facts
 
-    def _read(self, feed: Feed) -> None:
+    def _read_source(self, feed: Feed) -> None:
         """Put the images of the source into the queue until it ends, in the thread "pictures".
 
         The source is closed in any case. Errors are recorded instead of raised.
@@ -362,7 +367,7 @@ class PictureCamera(ABC, Generic[R]):
         finally:
             feed.close()
 
-    def _find(self) -> None:
+    def _search_queue(self) -> None:
         """Search the images in the queue until it is closed, in the thread "finding".
 
         Errors are recorded instead of raised.
@@ -378,8 +383,8 @@ class PictureCamera(ABC, Generic[R]):
 
     def _search_jpeg(self, jpeg: bytes) -> None:
         """Search the next image of a source in memory."""
-        self._joined += 1
-        self._search(self._joined, Picture(jpeg, self._clock.now()))
+        self._memory_count += 1
+        self._search(self._memory_count, Picture(jpeg, self._clock.now()))
 
     def _search(self, number: int, picture: Picture) -> None:
         """Decode and search an image, and add a frame if the search returns a result.
@@ -392,15 +397,15 @@ class PictureCamera(ABC, Generic[R]):
         try:
             grey = decoded(picture, self._size)
             if grey is None or (self._size is not None and grey.shape != self._size):
-                self._unread += 1  # a picture of another size does not fit the calibration
+                self._undecoded_count += 1  # a picture of another size does not fit the calibration
                 return
-            repeats = self._repeats(grey)
+            is_repeated = self._repeats(grey)
             self._newest_picture = grey
-            if repeats:
+            if is_repeated:
                 return
             result = self._see(grey, exposed_ns)
         except cv2.error:  # OpenCV cannot process this picture
-            self._unread += 1
+            self._undecoded_count += 1
             return
         self._size = grey.shape
         if result is None:
@@ -419,17 +424,17 @@ class PictureCamera(ABC, Generic[R]):
         newest = self._newest_picture
         return newest is not None and np.array_equal(newest, grey) and int(np.ptp(grey)) > 0
 
-    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+    def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until a condition holds.
 
         Args:
-            done: Returns whether the condition holds.
+            condition: Returns whether the condition holds.
             timeout_s: Maximum time to wait [s].
 
         Returns:
             Whether it holds. False after the timeout.
         """
         if self._join is not None:
-            return wait_for(self._clock, done, timeout_s)
+            return wait_for(self._clock, condition, timeout_s)
         with self._searches.changed:
-            return self._searches.changed.wait_for(done, timeout_s)
+            return self._searches.changed.wait_for(condition, timeout_s)

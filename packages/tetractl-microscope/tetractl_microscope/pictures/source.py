@@ -57,15 +57,15 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
         grey = cv2.cvtColor(content, cv2.COLOR_BGR2GRAY) if content.ndim == 3 else content
         return grey.astype(np.uint8, copy=False)
     # the end marker may stand before the last bytes, since some cameras pad the file
-    end = content.rfind(JPEG_END, max(0, len(content) - 64))
-    if not content.startswith(JPEG_START) or end < 0:
+    end_index = content.rfind(JPEG_END, max(0, len(content) - 64))
+    if not content.startswith(JPEG_START) or end_index < 0:
         return None
     # if a JPEG is cut short, a decoder fills the rest with grey up to the end marker; without the
     # marker the decoder waits for the missing codes, and Pillow raises
     try:
-        jpeg = JpegImageFile(io.BytesIO(content[:end] + NO_CODE))
-        fits = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
-        if not fits:
+        jpeg = JpegImageFile(io.BytesIO(content[:end_index] + NO_CODE))
+        has_size = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
+        if not has_size:
             return None
         jpeg.draft("L", jpeg.size)
         return np.asarray(jpeg) if jpeg.mode == "L" else None
@@ -89,9 +89,9 @@ class DeviceFeed(Feed):
         self.rate_hz = source.rate
         self._name = f"camera {source.index}"
         self._clock = clock
-        system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
+        backend = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
         logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # its others go to stderr, as ours do
-        self._capture = capture = cv2.VideoCapture(source.index, system)
+        self._capture = capture = cv2.VideoCapture(source.index, backend)
         if not capture.isOpened():
             raise AbortError(
                 f"{self._name} cannot be opened",
@@ -105,17 +105,18 @@ class DeviceFeed(Feed):
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # so that no old pictures wait in the buffer
         if source.exposure is not None:
             capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # by hand
-        for what, prop, value in (
+        for setting, property_id, value in (
             ("exposure", cv2.CAP_PROP_EXPOSURE, source.exposure),
             ("gain", cv2.CAP_PROP_GAIN, source.gain),
         ):
             if value is not None and not (
-                capture.set(prop, value) and abs(capture.get(prop) - value) <= 0.01 * value + 0.5
+                capture.set(property_id, value)
+                and abs(capture.get(property_id) - value) <= 0.01 * value + 0.5
             ):
                 capture.release()
                 raise AbortError(
-                    f"{self._name} does not accept {what} {value:g}, and keeps "
-                    f"{capture.get(prop):g}",
+                    f"{self._name} does not accept {setting} {value:g}, and keeps "
+                    f"{capture.get(property_id):g}",
                     "this command lists the camera's limits: v4l2-ctl --list-ctrls",
                 )
         width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
@@ -136,11 +137,11 @@ class DeviceFeed(Feed):
         """
         if not self._capture.grab():
             raise SourceEndedError(f"{self._name} sends no more images")
-        received = self._clock.now()  # taken before the picture is decompressed
-        read, pixels = self._capture.retrieve()
-        if not read:
+        received_ns = self._clock.now()  # taken before the picture is decompressed
+        is_read, pixels = self._capture.retrieve()
+        if not is_read:
             raise SourceEndedError(f"{self._name} sends no more images")
-        return Picture(pixels, received)
+        return Picture(pixels, received_ns)
 
     def close(self) -> None:
         """Release the camera."""
@@ -178,7 +179,7 @@ class FileFeed(Feed):
         try:
             self._film = imageio.imopen(source.path, "r")
             self._images = _single_images(self._film)
-            first = next(self._images)
+            first_image = next(self._images)
             own_rate_hz = self._film.metadata().get("fps")
         except (Exception, StopIteration) as error:  # imageio does not document what it raises
             self.close()
@@ -192,10 +193,10 @@ class FileFeed(Feed):
             raise AbortError(
                 f"{source.path} does not state its frame rate", "set lab.camera.source.rate"
             )
-        self._shift = max(0, int(first.max()).bit_length() - 8)
-        self._images = chain([first], self._images)
+        self._shift_bits = max(0, int(first_image.max()).bit_length() - 8)
+        self._images = chain([first_image], self._images)
         self._start_ns: int | None = None
-        self._read = 0
+        self._read_count = 0
 
     def read(self) -> Picture:
         """Wait until the next image of the film is due, and return it.
@@ -209,8 +210,8 @@ class FileFeed(Feed):
         if self._start_ns is None:
             self._start_ns = self._clock.now()
         assert self.rate_hz is not None
-        self._clock.sleep_until(self._start_ns + round(self._read * SECOND / self.rate_hz))
-        self._read += 1
+        self._clock.sleep_until(self._start_ns + round(self._read_count * SECOND / self.rate_hz))
+        self._read_count += 1
         return Picture(self._grey(pixels), self._clock.now())
 
     def close(self) -> None:
@@ -225,7 +226,7 @@ class FileFeed(Feed):
         """
         if pixels.ndim == 3:
             pixels = pixels[..., :3].mean(axis=-1)
-        levels = pixels.astype(np.int64) >> self._shift
+        levels = pixels.astype(np.int64) >> self._shift_bits
         return np.clip(levels, 0, 255).astype(np.uint8)
 
 
@@ -254,43 +255,47 @@ class MjpegFeed(Feed):
         url = urlsplit(source.url)
         self._connection = connection = http.client.HTTPConnection(url.netloc, timeout=timeout_s)
         path = (url.path or "/") + (f"?{url.query}" if url.query else "")
-        until = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         try:
             connection.connect()
             self._socket: socket.socket = connection.sock
             # the socket's own timeout is per byte, this one is for the whole answer
-            deadline = threading.Timer(until - time.monotonic(), self.interrupt)
-            deadline.start()
+            deadline_timer = threading.Timer(deadline_s - time.monotonic(), self.interrupt)
+            deadline_timer.start()
             try:
                 connection.request("GET", path)
-                self._answer = connection.getresponse()
+                self._response = connection.getresponse()
             finally:
-                deadline.cancel()
-            if time.monotonic() >= until:
+                deadline_timer.cancel()
+            if time.monotonic() >= deadline_s:
                 raise TimeoutError
         except (OSError, ValueError, http.client.HTTPException) as error:
             connection.close()
-            late = time.monotonic() >= until
-            said = f"not within {timeout_s:g} s" if late else error or type(error).__name__
+            is_late = time.monotonic() >= deadline_s
+            reason = f"not within {timeout_s:g} s" if is_late else error or type(error).__name__
             raise AbortError(
-                f"the camera at {source.url} does not answer: {said}",
+                f"the camera at {source.url} does not answer: {reason}",
                 "is the camera on, and is lab.camera.source.url its address?",
             ) from error
-        kind = self._answer.headers.get_content_type()
-        boundary = self._answer.headers.get_param("boundary", "")
+        content_type = self._response.headers.get_content_type()
+        boundary = self._response.headers.get_param("boundary", "")
         if not isinstance(boundary, str):
             boundary = boundary[2]  # of charset, language and value
-        if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
+        if (
+            self._response.status != 200
+            or content_type != "multipart/x-mixed-replace"
+            or not boundary
+        ):
             self.close()
             raise AbortError(
                 f"the camera at {source.url} does not send an MJPEG stream: it answers with "
-                f"status {self._answer.status}, {kind}",
+                f"status {self._response.status}, {content_type}",
                 "the camera must answer with multipart/x-mixed-replace and a boundary",
             )
-        self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
+        self.emulated = EMULATED_NAME in self._response.getheader("Server", "")
         self._socket.settimeout(None)  # from now on, closing the socket interrupts the reader
         self._parts = Multipart(boundary)
-        self._waiting: list[bytes] = []
+        self._unread_jpegs: list[bytes] = []
 
     @property
     def damaged(self) -> int:
@@ -303,15 +308,15 @@ class MjpegFeed(Feed):
         Raises:
             SourceEndedError: If the stream has ended or failed.
         """
-        while not self._waiting:
+        while not self._unread_jpegs:
             try:
-                data = self._answer.read1(1 << 16)
+                data = self._response.read1(1 << 16)
             except (OSError, ValueError, http.client.HTTPException) as error:
                 raise SourceEndedError(f"{self._url} failed: {error}") from error
             if not data:
                 raise SourceEndedError(f"the camera at {self._url} closed the stream")
-            self._waiting = self._parts.feed(data)
-        return Picture(self._waiting.pop(0), self._clock.now())
+            self._unread_jpegs = self._parts.feed(data)
+        return Picture(self._unread_jpegs.pop(0), self._clock.now())
 
     def interrupt(self) -> None:
         """Shut down the connection, which ends a wait for data in another thread.
@@ -323,5 +328,5 @@ class MjpegFeed(Feed):
 
     def close(self) -> None:
         """Close the connection."""
-        self._answer.close()
+        self._response.close()
         self._connection.close()

@@ -62,7 +62,7 @@ QUANTITIES = (
     Quantity("magnetised", "", "magnet", averaged=False),
 )
 """The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
-RESPONSES = "a_rad_s", "bias_rad"
+RESPONSE_KEYS = "a_rad_s", "bias_rad"
 """Quantities whose means are over the cells that respond to the field."""
 
 
@@ -74,15 +74,15 @@ def cell_tables(record: Record) -> list[Table]:
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:
-        texts = [_text(cell.get(quantity.key), quantity.decimals) for cell in cells]
-        if quantity.heading and not {UNKNOWN_TEXT}.issuperset(texts):
-            columns.append(Column(quantity.heading, texts, quantity.unit))
+        cell_texts = [format_entry(cell.get(quantity.key), quantity.decimals) for cell in cells]
+        if quantity.heading and not {UNKNOWN_TEXT}.issuperset(cell_texts):
+            columns.append(Column(quantity.heading, cell_texts, quantity.unit))
     note = "\n".join(record["notes"])
-    means = _means(cells)
+    means = mean_tables(cells)
     return [Table("Cells, with 95 % intervals", tuple(columns), note), *means]
 
 
-def _text(entry: Any, decimals: int) -> str:
+def format_entry(entry: Any, decimals: int) -> str:
     """Format an entry of a cell, with its 95 % interval in brackets if it has one.
 
     True and False become "yes" and "no".
@@ -90,7 +90,7 @@ def _text(entry: Any, decimals: int) -> str:
     if isinstance(entry, bool):
         return "yes" if entry else "no"
     if isinstance(entry, Mapping):
-        low, high = (create_decimal_format(decimals)(end) for end in entry["ci95"])
+        low, high = (create_decimal_format(decimals)(bound) for bound in entry["ci95"])
         return f"{create_decimal_format(decimals)(entry['value'])} [{low}, {high}]"
     return create_decimal_format(decimals)(entry)
 
@@ -115,7 +115,7 @@ def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[
     Returns:
         These cells, and their values.
     """
-    responding = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
+    responding = [cell for cell in cells if key not in RESPONSE_KEYS or cell.get("magnetised")]
     with_values = [(cell, value_of(cell.get(key))) for cell in responding]
     known_pairs = [(cell, value) for cell, value in with_values if value is not None]
     return [cell for cell, _ in known_pairs], [value for _, value in known_pairs]
@@ -133,24 +133,28 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
         cells: One or more cells.
         values: The value of each cell.
     """
-    weights = np.array([cell["duration_s"] for cell in cells])
-    since = np.array([cell["since_s"] for cell in cells])
-    middles = since + weights / 2
-    just_after = since[:, None] + 1e-6  # the greatest number is reached when a cell appears
-    is_seen = np.abs(just_after - middles) < weights / 2
-    n = int(is_seen.sum(axis=1).max())
-    mean = float(np.average(values, weights=weights))
-    if n < 2:
-        return known_distribution(n, mean, math.nan, Interval.none("one value has no spread"))
-    squares = np.square(np.array(values) - mean)
-    std = math.sqrt(float(np.average(squares, weights=weights)) * n / (n - 1))
-    half = t_quantile(n - 1) * std / math.sqrt(n)
-    few = Interval.none(f"an interval needs {VALUES_MIN} cells")
-    ends = few if n < VALUES_MIN else Interval(mean - half, mean + half, "t")
-    return known_distribution(n, mean, std, ends)
+    durations_s = np.array([cell["duration_s"] for cell in cells])
+    since_s = np.array([cell["since_s"] for cell in cells])
+    middle_s = since_s + durations_s / 2
+    after_start_s = since_s[:, None] + 1e-6  # the greatest number is reached when a cell appears
+    is_seen = np.abs(after_start_s - middle_s) < durations_s / 2
+    n_cells = int(is_seen.sum(axis=1).max())
+    mean = float(np.average(values, weights=durations_s))
+    if n_cells < 2:
+        return known_distribution(n_cells, mean, math.nan, Interval.none("one value has no spread"))
+    squared_deviations = np.square(np.array(values) - mean)
+    std = math.sqrt(
+        float(np.average(squared_deviations, weights=durations_s)) * n_cells / (n_cells - 1)
+    )
+    half_width = t_quantile(n_cells - 1) * std / math.sqrt(n_cells)
+    no_interval = Interval.none(f"an interval needs {VALUES_MIN} cells")
+    interval = (
+        no_interval if n_cells < VALUES_MIN else Interval(mean - half_width, mean + half_width, "t")
+    )
+    return known_distribution(n_cells, mean, std, interval)
 
 
-def _means(cells: list[Record]) -> list[Table]:
+def mean_tables(cells: list[Record]) -> list[Table]:
     """Create the table of means over cells, with n, 95 % intervals and standard deviations.
 
     The list is empty for fewer than two cells, or if no cell has a value. Quantities without
@@ -161,15 +165,15 @@ def _means(cells: list[Record]) -> list[Table]:
         known_cells, values = known_values(cells, quantity.key)
         if quantity.averaged and quantity.heading and values:
             mean = cell_mean(known_cells, values)
-            show = create_decimal_format(quantity.decimals)
+            format_number = create_decimal_format(quantity.decimals)
             name = quantity.heading
             if quantity.unit:
                 name += f" [{quantity.unit}]"
-            if quantity.key in RESPONSES:
+            if quantity.key in RESPONSE_KEYS:
                 name += " of those that respond"
-            spread = show(mean.std)
-            interval = mean.ci95.text(show)
-            rows.append((name, str(mean.n), show(mean.mean), interval, spread))
+            std_text = format_number(mean.std)
+            interval_text = mean.ci95.text(format_number)
+            rows.append((name, str(mean.n), format_number(mean.mean), interval_text, std_text))
     header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
     columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
     table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
@@ -187,7 +191,9 @@ def cell_data(record: Record) -> Table:
         entries = [cell.get(quantity.key) for cell in cells]
         values = [value_of(entry) for entry in entries]
         columns.append(Column(quantity.key, values))
-        for k, end in enumerate(("low", "high") if quantity.interval else ()):
-            ends = [entry["ci95"][k] if isinstance(entry, Mapping) else None for entry in entries]
-            columns.append(Column(Quantity(f"{quantity.name}_{end}", quantity.unit).key, ends))
+        for i, bound_name in enumerate(("low", "high") if quantity.interval else ()):
+            bounds = [entry["ci95"][i] if isinstance(entry, Mapping) else None for entry in entries]
+            columns.append(
+                Column(Quantity(f"{quantity.name}_{bound_name}", quantity.unit).key, bounds)
+            )
     return Table("Cells", tuple(columns))

@@ -19,7 +19,7 @@ from tetractl.tools.table.quantities import (
 )
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import Piece
-from tetractl_microscope.handedness import handedness, wrong_sides
+from tetractl_microscope.handedness import describe_wrong_sides, find_handedness
 from tetractl_microscope.one_recording import Span, clock_remark, refuse_times_apart
 
 STRENGTH = "strength"
@@ -42,8 +42,8 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
         "the directions run clockwise (give --y-down), or the image is mirrored; until this is "
         "corrected, do not use the values of a, bias and magnet"
     )
-    turning = handedness(paths, field.at)
-    lines = [] if turning is None else wrong_sides(turning, mirrored, "is it rotated?")
+    turning = find_handedness(paths, field.at)
+    lines = [] if turning is None else describe_wrong_sides(turning, mirrored, "is it rotated?")
     return tuple(f"warning: {line}" for line in lines)
 
 

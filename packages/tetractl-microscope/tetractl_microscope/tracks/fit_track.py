@@ -17,17 +17,17 @@ from tetractl.core.poses import Floats
 from tetractl.tools.likelihood import NORMAL, SampleInterval
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
-from tetractl_microscope.cells.kernels.helix_path import likelihoods, smooth
+from tetractl_microscope.cells.kernels.helix_path import log_likelihoods_of, smooth
 from tetractl_microscope.cells.kernels.helix_steps import (
     BIAS,
     DELAY,
     FLOW_X,
     FLOW_Y,
     HEADING,
+    PATH_LENGTH,
     RATE,
     SPEED,
-    STATES,
-    WAY,
+    STATE_SIZE,
     A,
     C,
     S,
@@ -39,27 +39,32 @@ from tetractl_microscope.organisms import Organism
 from tetractl_microscope.tracks.field_file import no_field
 from tetractl_microscope.tracks.velocities import distance_um, vsl_um_s
 
-START_S = 0.5  # time from which the first heading is computed [s]
-START = 5  # minimum number of places for that
-# helices and headings to start from: rates as a multiple of the organism's, with the deviation
-# among organisms, and angles to the first direction of motion [rad]
-RATES = (0.4, 0.6, 0.84, 1.12, 1.4)
-RATES_SD = 0.28
-ASIDE = (-0.6, 0.0, 0.6)
-# noise as a multiple of a live cell's: walks of the speed, and of position and helix
-SPEED_WALK = 4.0
-PLACE_WALK = 0.5
-NO_AXIS = 1e3  # deviation of the body's axis, which a place does not show [rad]
-FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
-ORDER = 6  # differences of so many successive places leave little of a track but its noise
-DIFFERENCED = math.comb(2 * ORDER, ORDER)  # their variance, over that of independent places
-MEDIAN_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution [sd]
-NO_FLOW_UM_S = 1e-3  # deviation of a flow, which places alone do not tell from swimming [um/s]
-RATE_MIN = 6.9  # minimum rate of images at which a turn of a helix is seen [Hz]
-EXACTEST = 1e-3  # minimum deviation of a place in a table, which is rounded [lengths of the cell]
-BLOCK_S = 1.5  # duration of the parts of a track from each of which a is estimated [s]
-USUAL_BLOCKS = 4.0  # weight of the usual misfit of a table's cells, in blocks
-MISFIT_MOST = 5.0  # misfit of a part above which a cell says nothing of the table's others
+START_DURATION_S = 0.5  # duration of the start of a track, from which its first heading is computed
+START_PLACES_MIN = 5  # minimum number of places in the start of a track
+# The fit starts from several helices and headings.
+RATE_FACTORS = (0.4, 0.6, 0.84, 1.12, 1.4)  # rates of the helix, as multiples of the organism's
+RATE_FACTOR_SD = 0.28  # standard deviation of this multiple among cells
+HEADING_OFFSETS = (-0.6, 0.0, 0.6)  # headings, as angles to the first direction of motion [rad]
+# Process noise of a track, as a multiple of the noise of a live cell.
+SPEED_GROWTH_FACTOR = 4.0  # of the speed
+PLACE_GROWTH_FACTOR = 0.5  # of the position and the helix
+UNKNOWN_AXIS_SD = 1e3  # standard deviation of the body's axis, which a place does not show [rad]
+# States that start at 0 again in the second pass.
+RESET_STATES = [FLOW_X, FLOW_Y, DELAY, PATH_LENGTH]
+# Differences of this order between successive places contain little of a track but its noise.
+DIFFERENCE_ORDER = 6
+# Variance of these differences, relative to the variance of independent places.
+DIFFERENCE_VARIANCE = math.comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER)
+NORMAL_MAD = 0.6745  # median absolute deviation of a normal distribution [sd]
+# Standard deviation of a flow [um/s]. Places alone do not distinguish a flow from swimming.
+FLOW_SD_UM_S = 1e-3
+IMAGE_RATE_MIN_HZ = 6.9  # minimum rate of images at which the turns of a helix are visible
+# Minimum standard deviation of a place in a table, because tables are rounded [body lengths].
+PLACE_SD_MIN = 1e-3
+BLOCK_S = 1.5  # duration of the parts of a track, in each of which a is estimated
+USUAL_MISFIT_WEIGHT = 4.0  # weight of the usual misfit of a table's cells, in parts of a track
+# Maximum misfit of a part that one cell contributes to the usual misfit of a table.
+MISFIT_MAX = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +133,13 @@ class CellSummary:
 
         An interval becomes a mapping with the keys "value" and "ci95".
         """
-        items = asdict(self)
+        summary_by_key = asdict(self)
         for name in ("speed_um_s", "a_rad_s", "bias_rad"):
-            interval = items[name]
+            interval = summary_by_key[name]
             if interval is not None:
-                ends = [interval["low"], interval["high"]]
-                items[name] = {"value": interval["value"], "ci95": ends}
-        return items
+                bounds = [interval["low"], interval["high"]]
+                summary_by_key[name] = {"value": interval["value"], "ci95": bounds}
+        return summary_by_key
 
 
 def fit_tracks(
@@ -146,31 +151,32 @@ def fit_tracks(
         paths: The tracks of one table.
         organism: What swims; its body and helix are the prior of the fit.
         field: The field over time, on the clock of the tracks. None if there was none.
-        period_s: Usual time between two images [s]. If images are rarer than RATE_MIN, only the
-            velocity along the straight line and the distance are computed.
+        period_s: Usual time between two images [s]. If images are rarer than IMAGE_RATE_MIN_HZ,
+            only the velocity along the straight line and the distance are computed.
     """
     fits: list[_Fit | None] = [None] * len(paths)
-    if 1 / period_s >= RATE_MIN:
-        measured = [_Measured.from_path(path, organism, field) for path in paths]
-        fits = [None if table is None else _Fit.fit(table) for table in measured]
+    if 1 / period_s >= IMAGE_RATE_MIN_HZ:
+        measured_tracks = [_MeasuredTrack.from_path(path, organism, field) for path in paths]
+        fits = [None if track is None else _Fit.fit(track) for track in measured_tracks]
     known_fits = [fit for fit in fits if fit is not None]
-    squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in known_fits)
-    usual = max(1.0, squares / max(sum(fit.parts for fit in known_fits), 1))
+    misfit_sum = sum(min(fit.misfit, MISFIT_MAX * fit.parts) for fit in known_fits)
+    usual_misfit = max(1.0, misfit_sum / max(sum(fit.parts for fit in known_fits), 1))
     return tuple(
-        _summary(path, fit, field is not None, usual, period_s)
+        _summarise(path, fit, field is not None, usual_misfit, period_s)
         for path, fit in zip(paths, fits, strict=True)
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Measured:
+class _MeasuredTrack:
     """The measurements of one cell in K images.
 
     Attributes:
         values: Places and a meaningless axis, shape (K, 3).
         deviations: Standard deviations of `values`, shape (K, 3).
         pieces: The field as pieces of constant field, shape (P, 3).
-        first: Pieces `first[k]` to `first[k + 1]` come before image k, shape (K + 1,).
+        piece_starts: Pieces `piece_starts[k]` to `piece_starts[k + 1]` come before image k, shape
+            (K + 1,).
         mean: State with which the filter starts, shape (n,).
         covariance: Covariance of this state, shape (n, n).
         model: Numbers of the filter's model, shape (12,).
@@ -179,7 +185,7 @@ class _Measured:
     values: Floats
     deviations: Floats
     pieces: Floats
-    first: np.ndarray
+    piece_starts: np.ndarray
     mean: Floats
     covariance: Floats
     model: Floats
@@ -197,79 +203,84 @@ class _Measured:
             organism: The organism.
             field: The field. None if it is unknown.
         """
-        count = len(path.times)
-        if count <= max(ORDER, START):
+        n_images = len(path.times)
+        if n_images <= max(DIFFERENCE_ORDER, START_PLACES_MIN):
             return None
-        differences = np.diff(path.places, ORDER, axis=0)
-        scatter = np.median(np.abs(differences)) / MEDIAN_OF_NORMAL / math.sqrt(DIFFERENCED)
-        places_sd = max(float(scatter), EXACTEST * organism.body_um[0])
-        deviations = np.tile((places_sd, places_sd, NO_AXIS), (count, 1))
-        values = np.column_stack([path.places, np.zeros(count)])
+        differences = np.diff(path.places, DIFFERENCE_ORDER, axis=0)
+        scatter = np.median(np.abs(differences)) / NORMAL_MAD / math.sqrt(DIFFERENCE_VARIANCE)
+        place_sd_um = max(float(scatter), PLACE_SD_MIN * organism.body_um[0])
+        deviations = np.tile((place_sd_um, place_sd_um, UNKNOWN_AXIS_SD), (n_images, 1))
+        values = np.column_stack([path.places, np.zeros(n_images)])
         times = path.times - path.times[0]
-        early = slice(0, max(START, int((times <= START_S).sum())))
-        (vx, vy), (x, y) = np.polyfit(times[early], path.places[early], 1)
+        first_places = slice(0, max(START_PLACES_MIN, int((times <= START_DURATION_S).sum())))
+        (speed_x, speed_y), (x, y) = np.polyfit(times[first_places], path.places[first_places], 1)
         mean, covariance, model = new_cell(organism, field is not None)
-        mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
-        covariance[[FLOW_X, FLOW_Y], [FLOW_X, FLOW_Y]] = NO_FLOW_UM_S**2
-        model[SPEED] *= SPEED_WALK
-        model[[X, Y, C, S]] *= PLACE_WALK
+        mean[[X, Y, HEADING, SPEED]] = (
+            x,
+            y,
+            math.atan2(speed_y, speed_x),
+            math.hypot(speed_x, speed_y),
+        )
+        covariance[[FLOW_X, FLOW_Y], [FLOW_X, FLOW_Y]] = FLOW_SD_UM_S**2
+        model[SPEED] *= SPEED_GROWTH_FACTOR
+        model[[X, Y, C, S]] *= PLACE_GROWTH_FACTOR
         model[[A, BIAS]] = 0.0
-        pieces_of = no_field if field is None else field.pieces
+        pieces_between = no_field if field is None else field.pieces
         pieces = list[Piece]()
-        first = [0, 0]
-        for start, end in pairwise(path.times.tolist()):
-            pieces += pieces_of(start, end)
-            first.append(len(pieces))
-        field_of = np.array(pieces).reshape(-1, 3), np.array(first)
+        piece_starts = [0, 0]
+        for start_s, end_s in pairwise(path.times.tolist()):
+            pieces += pieces_between(start_s, end_s)
+            piece_starts.append(len(pieces))
+        field_of = np.array(pieces).reshape(-1, 3), np.array(piece_starts)
         return cls(values, deviations, *field_of, mean, covariance, model)
 
-    def likelihood(self, mean: Floats) -> Floats:
+    def likelihood(self, first_states: Floats) -> Floats:
         """Compute the log-likelihood of V variants of the first state (V, n), shape (V,)."""
-        totals = np.empty(len(mean))
-        likelihoods(
-            mean.copy(),
+        log_likelihoods = np.empty(len(first_states))
+        log_likelihoods_of(
+            first_states.copy(),
             self.covariance,
-            np.tile(self.model, (len(mean), 1)),
+            np.tile(self.model, (len(first_states), 1)),
             self.values,
             self.deviations,
             self.pieces,
-            self.first,
-            totals,
+            self.piece_starts,
+            log_likelihoods,
         )
-        return totals
+        return log_likelihoods
 
     def smoothed(
-        self, mean: Floats, start: int = 0, end: int | None = None
+        self, first_state: Floats, start_image: int = 0, stop_image: int | None = None
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Smooth the states of a cell over a range of images.
 
         Args:
-            mean: The first state, shape (n,).
-            start: Index of the first image.
-            end: Index after the last image. None for all images.
+            first_state: The first state, shape (n,).
+            start_image: Index of the first image.
+            stop_image: Index after the last image. None for all images.
 
         Returns:
             The last state (n,), its covariance (n, n), all states (K, n), and all bodies (K, 3): x,
             y [um] and axis [rad].
         """
-        last = mean.copy()
-        values = self.values[start:end]
-        first = self.first[start : end and end + 1].copy()
-        first[0] = first[1]
-        states = np.empty((len(values), STATES))
+        last_state = first_state.copy()
+        values = self.values[start_image:stop_image]
+        piece_starts = self.piece_starts[start_image : stop_image and stop_image + 1].copy()
+        piece_starts[0] = piece_starts[1]
+        states = np.empty((len(values), STATE_SIZE))
         bodies = np.empty((len(values), 3))
         covariance = smooth(
-            last,
+            last_state,
             self.covariance,
             self.model,
             values,
-            self.deviations[start:end],
+            self.deviations[start_image:stop_image],
             self.pieces,
-            first,
+            piece_starts,
             states,
             bodies,
         )
-        return last, covariance, states, bodies
+        return last_state, covariance, states, bodies
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,80 +305,86 @@ class _Fit:
     parts: int
 
     @classmethod
-    def fit(cls, table: _Measured) -> Self:
+    def fit(cls, track: _MeasuredTrack) -> Self:
         """Fit the states of a cell to the measurements of its track."""
-        starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
-        starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
-        starts[:, HEADING] += np.tile(ASIDE, len(RATES))
-        likely = table.likelihood(starts)
-        likely -= ((starts[:, RATE] / table.mean[RATE] - 1) / RATES_SD) ** 2 / 2
-        mean = starts[likely.argmax()]
-        second = table.smoothed(mean)[2][0]
-        second[FROM_0] = 0.0
-        tried = np.array([mean, second])  # the second pass may lose a cell that turned by itself
-        mean = tried[table.likelihood(tried).argmax()]
-        last, covariance, states, bodies = table.smoothed(mean)
-        parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
-        ends = np.linspace(0, len(states), parts + 1).astype(int)
+        start_states = np.tile(track.mean, (len(RATE_FACTORS) * len(HEADING_OFFSETS), 1))
+        start_states[:, RATE] *= np.repeat(RATE_FACTORS, len(HEADING_OFFSETS))
+        start_states[:, HEADING] += np.tile(HEADING_OFFSETS, len(RATE_FACTORS))
+        log_posteriors = track.likelihood(start_states)
+        log_posteriors -= ((start_states[:, RATE] / track.mean[RATE] - 1) / RATE_FACTOR_SD) ** 2 / 2
+        start_state = start_states[log_posteriors.argmax()]
+        smoothed_start = track.smoothed(start_state)[2][0]
+        smoothed_start[RESET_STATES] = 0.0
+        candidates = np.array(
+            [start_state, smoothed_start]
+        )  # the second pass may lose a cell that turned by itself
+        start_state = candidates[track.likelihood(candidates).argmax()]
+        last_state, covariance, states, bodies = track.smoothed(start_state)
+        n_parts = max(1, int(track.pieces[:, 0].sum() / BLOCK_S))
+        part_bounds = np.linspace(0, len(states), n_parts + 1).astype(int)
         misfit = 0.0
-        for start, end in pairwise(ends.tolist()):
-            first_state = states[start] if start else mean
-            part, spread, _, _ = table.smoothed(first_state, start, end)
-            misfit += (part[A] - last[A]) ** 2 / spread[A, A]
+        for start_image, stop_image in pairwise(part_bounds.tolist()):
+            first_state = states[start_image] if start_image else start_state
+            part_state, part_covariance, _, _ = track.smoothed(first_state, start_image, stop_image)
+            misfit += (part_state[A] - last_state[A]) ** 2 / part_covariance[A, A]
         sd = np.sqrt(np.diagonal(covariance))
-        return cls(last, sd, states, bodies, misfit, parts - 1)
+        return cls(last_state, sd, states, bodies, misfit, n_parts - 1)
 
 
-def _interval(value: float, sd: float, error: float) -> SampleInterval:
+def _interval(value: float, sd: float, relative_sd: float) -> SampleInterval:
     """Compute a value's 95 % interval from an absolute and a relative standard deviation."""
     value = float(value)
-    half = float(NORMAL * math.hypot(sd, error * value))
-    return SampleInterval(value, value - half, value + half)
+    half_width = float(NORMAL * math.hypot(sd, relative_sd * value))
+    return SampleInterval(value, value - half_width, value + half_width)
 
 
-def _summary(
-    path: CellPath, fit: _Fit | None, field_known: bool, usual: float, period_s: float
+def _summarise(
+    path: CellPath, fit: _Fit | None, is_field_known: bool, usual_misfit: float, period_s: float
 ) -> CellSummary:
     """Summarise the fit of a cell.
 
     Args:
         path: The track.
         fit: The fit. None if there are too few places or images are too rare.
-        field_known: Whether the field is known.
-        usual: Usual misfit of a part of a track of the table.
+        is_field_known: Whether the field is known.
+        usual_misfit: Usual misfit of a part of a track of the table.
         period_s: Usual time between two images [s].
     """
-    between = float(path.times[-1] - path.times[0])
+    between_s = float(path.times[-1] - path.times[0])
     swum_um = distance_um(path.places)
-    speed = a = bias = magnetised = None
-    spread = sway = hz = radius = math.nan
+    speed_um_s = a_rad_s = bias_rad = magnetised = None
+    speed_sd_um_s = sway_rad = helix_hz = helix_um = math.nan
     if fit is not None:
         states = fit.states
-        swum_um = float(fit.mean[WAY])
-        misfit = (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts)
-        wider = math.sqrt(max(1.0, misfit))
-        speed = _interval(swum_um / between, wider * float(fit.sd[WAY]) / between, SPEED_ERROR)
-        spread = float(states[:, SPEED].std())
-        sway = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
-        hz = float(np.median(states[:, RATE])) / math.tau
-        radius = float(np.median(np.hypot(states[:, C], states[:, S])))
-        if field_known:
-            a = _interval(fit.mean[A], wider * fit.sd[A], A_ERROR)
-            bias = _interval(fit.mean[BIAS], wider * fit.sd[BIAS], 0.0)
-            magnetised = bool(fit.mean[A] > RESPONDS * wider * fit.sd[A])
+        swum_um = float(fit.mean[PATH_LENGTH])
+        misfit = (USUAL_MISFIT_WEIGHT * usual_misfit + fit.misfit) / (
+            USUAL_MISFIT_WEIGHT + fit.parts
+        )
+        sd_factor = math.sqrt(max(1.0, misfit))
+        speed_um_s = _interval(
+            swum_um / between_s, sd_factor * float(fit.sd[PATH_LENGTH]) / between_s, SPEED_ERROR
+        )
+        speed_sd_um_s = float(states[:, SPEED].std())
+        sway_rad = math.sqrt(2) * float(np.std(states[:, HEADING] - fit.bodies[:, 2]))
+        helix_hz = float(np.median(states[:, RATE])) / math.tau
+        helix_um = float(np.median(np.hypot(states[:, C], states[:, S])))
+        if is_field_known:
+            a_rad_s = _interval(fit.mean[A], sd_factor * fit.sd[A], A_ERROR)
+            bias_rad = _interval(fit.mean[BIAS], sd_factor * fit.sd[BIAS], 0.0)
+            magnetised = bool(fit.mean[A] > RESPONDS * sd_factor * fit.sd[A])
     return CellSummary(
         cell=path.number,
         since_s=float(path.times[0]),
-        duration_s=between + period_s,
+        duration_s=between_s + period_s,
         pictures=len(path.times),
-        speed_um_s=speed,
-        speed_sd_um_s=spread,
+        speed_um_s=speed_um_s,
+        speed_sd_um_s=speed_sd_um_s,
         vsl_um_s=vsl_um_s(path.times, path.places),
         path_um=swum_um,
-        sway_rad=sway,
-        helix_hz=hz,
-        helix_um=radius,
-        a_rad_s=a,
-        bias_rad=bias,
+        sway_rad=sway_rad,
+        helix_hz=helix_hz,
+        helix_um=helix_um,
+        a_rad_s=a_rad_s,
+        bias_rad=bias_rad,
         magnetised=magnetised,
     )

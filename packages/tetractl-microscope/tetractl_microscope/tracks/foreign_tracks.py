@@ -102,15 +102,15 @@ class SpotTable:
 
     Attributes:
         rows: Array of shape (R, 4): track id, time or image index, x, y (pointing down).
-        across: What one unit of x means.
+        x_step: The meaning of one unit of x.
         time: What one unit of the second column means.
-        tall: Length of one unit of y, as a multiple of one unit of x.
+        y_per_x: Length of one unit of y, as a multiple of one unit of x.
     """
 
     rows: Floats
-    across: AxisStep = AxisStep()
+    x_step: AxisStep = AxisStep()
     time: AxisStep = AxisStep()
-    tall: float = 1.0
+    y_per_x: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +146,10 @@ def spot_tracks(
     """
     spots = _read_graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
     um_per_unit = _unit_size(
-        path, "--scale", "the file gives places in a unit of length", um_px, spots.across
+        path, "--scale", "the file gives places in a unit of length", um_px, spots.x_step
     )
-    period = None if rate_hz is None else 1 / rate_hz
-    s_per_unit = _unit_size(path, "--rate", "it states times", period, spots.time)
+    period_s = None if rate_hz is None else 1 / rate_hz
+    s_per_unit = _unit_size(path, "--rate", "it states times", period_s, spots.time)
     missing = list[str]()
     if um_per_unit is None:
         missing.append("a unit of length")
@@ -164,7 +164,7 @@ def spot_tracks(
     for number in np.unique(spots.rows[:, 0]).tolist():
         is_on_track = spots.rows[:, 0] == number
         track = np.unique(spots.rows[is_on_track, 1:], axis=0)  # by time; a row twice counts once
-        rows = track * (s_per_unit, um_per_unit, -spots.tall * um_per_unit)
+        rows = track * (s_per_unit, um_per_unit, -spots.y_per_x * um_per_unit)
         _require_one_place(path, number, rows[:, 0])
         tracks.append(SpotTrack(number, rows))
     return tracks
@@ -196,8 +196,8 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     columns = {quantity: NumberColumn(headers[quantity]) for quantity in units}
     columns["track"] = NumberColumn(headers["track"], largest=TRACK_MAX)
     if "time" in units:
-        second = find_factor(units["time"], SECONDS) or 1.0
-        columns["time"] = NumberColumn(headers["time"], second, TIME_MAX)
+        seconds_per_unit = find_factor(units["time"], SECONDS) or 1.0
+        columns["time"] = NumberColumn(headers["time"], seconds_per_unit, TIME_MAX)
     numbers = list[float]()
     for row in chain([first_row] if first_row else [], rows):
         if not math.isnan(columns["track"].optional(path, row)):  # else a spot of no track
@@ -210,27 +210,27 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     table = np.reshape(numbers, (-1, len(columns)))
     values = dict(zip(columns, table.T, strict=True))
     if "time" in values and ("frame" not in values or rate_hz is None):
-        times = values["time"]
-        time = AxisStep(1.0, False)
+        time_values = values["time"]
+        time_step = AxisStep(1.0, False)
     else:
         if "time" not in values:
             _require_whole(path, headers["frame"], values["frame"])
             _warn_if_sparse(path, headers["frame"], values["frame"], remarks)
-        times = _from_first_picture(path, values["frame"], remarks)
-        time = AxisStep()
+        time_values = _from_first_picture(path, values["frame"], remarks)
+        time_step = AxisStep()
         if "time" in values and rate_hz is not None:
-            _warn_of_other_times(path, values["time"], times / rate_hz, rate_hz, remarks)
+            _warn_of_other_times(path, values["time"], time_values / rate_hz, rate_hz, remarks)
     um_across = find_factor(units["x"], MICROMETRES)
     um_upwards = find_factor(units["y"], MICROMETRES)
-    spots = np.column_stack([values["track"], times, values["x"], values["y"]])
+    spots = np.column_stack([values["track"], time_values, values["x"], values["y"]])
     spots = spots[np.isfinite(spots).all(axis=1)]
     if not len(spots):
         raise UsageError(f"{path}: the file has no point that belongs to a track")
     return SpotTable(
         spots,
-        across=AxisStep(um_across, um_across is None),
-        time=time,
-        tall=um_upwards / um_across if um_across and um_upwards else 1.0,
+        x_step=AxisStep(um_across, um_across is None),
+        time=time_step,
+        y_per_x=um_upwards / um_across if um_across and um_upwards else 1.0,
     )
 
 
@@ -247,32 +247,34 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 
 
 def _find_column(
-    quantities: Mapping[str, tuple[str, str]], names: Sequence[str], fits: Callable[[str], bool]
+    quantities: Mapping[str, tuple[str, str]],
+    names: Sequence[str],
+    is_unit_possible: Callable[[str], bool],
 ) -> str:
     """Find the first of several names that a column with a fitting unit has.
 
     Args:
         quantities: Name and unit of each column, by its header.
         names: The names to look for, in this order.
-        fits: Checks whether a unit is possible.
+        is_unit_possible: Checks whether a unit is possible.
 
     Returns:
         The header of the column. "" if there is none.
     """
     for expected_name in names:
         for header, (name, unit) in quantities.items():
-            if name == expected_name and fits(unit):
+            if name == expected_name and is_unit_possible(unit):
                 return header
     return ""
 
 
-def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[str]) -> None:
+def _require_columns(path: Path, headers: Mapping[str, str], all_headers: Sequence[str]) -> None:
     """Check that a table has all columns of tracks.
 
     Args:
         path: The table.
         headers: Header of each column that was found. "" if it was not found.
-        listed: All headers of the table, for the message.
+        all_headers: All headers of the table, for the message.
 
     Raises:
         UsageError: If a column is missing.
@@ -284,10 +286,10 @@ def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[st
         missing.append("frame, t or time_s")
     missing += [axis for axis in ("x", "y") if not headers[axis]]
     if missing:
-        listed = ", ".join(printable(header) for header in listed[:COLUMNS_SHOWN])
+        all_headers = ", ".join(printable(header) for header in all_headers[:COLUMNS_SHOWN])
         problem = (
             f"{path}: columns of the tracks are missing: {'; '.join(missing)}; the file's "
-            f"columns are {listed}"
+            f"columns are {all_headers}"
         )
         raise UsageError(
             problem, "the first line of the file must name the columns particle, frame, x and y"

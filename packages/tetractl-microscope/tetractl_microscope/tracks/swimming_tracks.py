@@ -13,7 +13,7 @@ from tetractl.tools.table.table_files import convert_to_plain
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
-from tetractl_microscope.tracks.fit_track import RATE_MIN, CellPath, fit_tracks
+from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath, fit_tracks
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.onward import TO_AND_FRO, hardly_any_goes_on, track_goes_on
 
@@ -96,12 +96,12 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
         )
     gaps_s = np.concatenate([np.diff(track.rows[:, 0]) for track in long_tracks])
     period_s = float(np.median(gaps_s))
-    if with_field and period_s * RATE_MIN > 1:
+    if with_field and period_s * IMAGE_RATE_MIN_HZ > 1:
         raise UsageError(
             f"{source}: images are {period_s:.3g} s apart, which is too long, because a heading "
             f"is the direction of motion over {COURSE_S:g} s",
-            f"film at {math.ceil(RATE_MIN)} images/s or more; if the times are in ms, name "
-            "their column time_ms",
+            f"film at {math.ceil(IMAGE_RATE_MIN_HZ)} images/s or more; if the times are in ms, "
+            "name their column time_ms",
         )
     going_on = [track_goes_on(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
     if hardly_any_goes_on(going_on):
@@ -205,10 +205,10 @@ def track_record(
     """
     summaries = fit_tracks(cells.paths, organism, field, cells.period_s)
     note = f"the cells are tracked as {organism.name}; choose another organism with --organism"
-    if 1 / cells.period_s < RATE_MIN:
+    if 1 / cells.period_s < IMAGE_RATE_MIN_HZ:
         note = (
-            f"with fewer than {math.ceil(RATE_MIN)} images/s, the speed of cells along their "
-            "helix cannot be measured"
+            f"with fewer than {math.ceil(IMAGE_RATE_MIN_HZ)} images/s, the speed of cells along "
+            "their helix cannot be measured"
         )
     notes = [note]
     items = [cell.items() for cell in summaries]

@@ -14,7 +14,9 @@ from tetractl_microscope.apriltag.floor import CORNER_PX
 from tetractl.core.clock import VirtualClock
 
 ALL = tuple(sorted([*(tag.tag for tag in FLOOR), *(robot.tag for robot in ROBOTS)]))
-GOOD = SimpleNamespace(worst_mm=0.8, doubt_mm=0.5, above_mm=2000.0, error_mm=0.424, focal_px=1203.7)
+GOOD = SimpleNamespace(
+    error_max_mm=0.8, lens_error_mm=0.5, camera_height_mm=2000.0, error_mm=0.424, focal_px=1203.7
+)
 
 
 def plane(**changes):
@@ -92,32 +94,33 @@ def test_a_tag_that_is_not_in_the_spec_may_be_seen_twice():
 
 
 @pytest.mark.parametrize(
-    ("worst_mm", "problems", "warnings"),
+    ("error_max_mm", "problems", "warnings"),
     [(2.9, 0, 0), (3.0, 0, 0), (3.1, 0, 1), (10.0, 0, 1), (10.1, 1, 0), (math.nan, 1, 0)],
 )
-def test_misplaced_floor_tags_are_a_warning_and_then_a_problem(worst_mm, problems, warnings):
-    found = health([seen()], plane(worst_mm=worst_mm))
+def test_misplaced_floor_tags_are_a_warning_and_then_a_problem(error_max_mm, problems, warnings):
+    found = health([seen()], plane(error_max_mm=error_max_mm))
     assert (len(found.problems), len(found.warnings)) == (problems, warnings)
     for line in (*found.problems, *found.warnings):
-        assert line.startswith(f"the floor tags are up to {worst_mm:.1f} mm away")
+        assert line.startswith(f"the floor tags are up to {error_max_mm:.1f} mm away")
 
 
 @pytest.mark.parametrize(
-    ("doubt_mm", "problems", "warnings"), [(3.0, 0, 0), (3.1, 0, 1), (10.0, 0, 1), (10.1, 1, 0)]
+    ("lens_error_mm", "problems", "warnings"),
+    [(3.0, 0, 0), (3.1, 0, 1), (10.0, 0, 1), (10.1, 1, 0)],
 )
 def test_a_lens_that_the_floor_leaves_open_is_a_warning_and_then_a_problem(
-    doubt_mm, problems, warnings
+    lens_error_mm, problems, warnings
 ):
-    found = health([seen()], plane(doubt_mm=doubt_mm))
+    found = health([seen()], plane(lens_error_mm=lens_error_mm))
     assert (len(found.problems), len(found.warnings)) == (problems, warnings)
     for line in (*found.problems, *found.warnings):
-        assert f"located {doubt_mm:.0f} mm off" in line
-    given = health([seen()], plane(doubt_mm=doubt_mm), lens={"focal_px": 1200.0})
+        assert f"located {lens_error_mm:.0f} mm off" in line
+    given = health([seen()], plane(lens_error_mm=lens_error_mm), lens={"focal_px": 1200.0})
     assert given.problems == given.warnings == ()
 
 
 def test_a_calibration_that_does_not_fit_is_explained_too():
-    found = health([seen()], at=None, misfit=plane(worst_mm=40.0))
+    found = health([seen()], at=None, misfit=plane(error_max_mm=40.0))
     assert found.problems[0].startswith("the floor tags are up to 40.0 mm away")
     assert found.facts["floor_error"] == "0.42 mm"
 
@@ -165,8 +168,8 @@ def test_the_limit_is_the_sum_of_noise_ruler_and_height(sign):
 def test_the_height_of_a_robot_s_tag_makes_it_nearer_to_the_camera():
     """A tag that is 150 mm below the camera may be 5 mm too high."""
     sizes = (1.04, 1.0, 1.0)
-    near = health([seen(sizes=sizes)], plane(above_mm=ROBOTS[0].height_mm + 150.0))
-    far = health([seen(sizes=sizes)], plane(above_mm=ROBOTS[0].height_mm + 300.0))
+    near = health([seen(sizes=sizes)], plane(camera_height_mm=ROBOTS[0].height_mm + 150.0))
+    far = health([seen(sizes=sizes)], plane(camera_height_mm=ROBOTS[0].height_mm + 300.0))
     assert near.warnings == () and len(far.warnings) == 1
 
 
@@ -186,7 +189,7 @@ def test_blurred_tags_are_a_warning_with_the_smallest(blurs, warns):
 class Above:
     """A camera that looks straight down, 1 px for each mm of the floor, from 2 m above."""
 
-    above_mm = 2000.0
+    camera_height_mm = 2000.0
 
     def __init__(self, stance=(0.09, 0.02)):
         self.now = stance
@@ -194,7 +197,7 @@ class Above:
     def locate(self, pixels, height=0.0):
         return np.asarray(pixels) * (1e-3, -1e-3) * (2.0 - height) / 2.0
 
-    def stance(self, corners, side):
+    def height_and_tilt(self, corners, side):
         return self.now
 
 
@@ -206,7 +209,7 @@ def square(x, y, side, heading=0.0):
 
 def tracker_of(*sightings, above=None):
     tracker = Tracker(section(), NAMES, MM)
-    tracker.floor = SimpleNamespace(plane=above or Above(), see=lambda corners, size: None)
+    tracker.floor = SimpleNamespace(plane=above or Above(), update=lambda corners, size: None)
     tracker._detector = SimpleNamespace(find=lambda picture: list(sightings))
     return tracker
 
@@ -221,7 +224,7 @@ def raised(side_mm, height_mm):
 
 def test_a_robot_is_where_its_tag_is_at_the_height_of_the_tag():
     side = raised(80, 90)
-    looked = tracker_of(Sighting(0, square(500, 300, side, 0.7), 2.0)).see(PICTURE)
+    looked = tracker_of(Sighting(0, square(500, 300, side, 0.7), 2.0)).track_image(PICTURE)
     pose, *others = looked.poses
     assert others == [None, None]
     scale = (2000 - 90) / 2000
@@ -234,7 +237,9 @@ def test_a_robot_is_where_its_tag_is_at_the_height_of_the_tag():
 
 
 def test_a_heading_offset_is_added():
-    looked = tracker_of(Sighting(7, square(500, 300, raised(80, 90), 0.2), 1.0)).see(PICTURE)
+    looked = tracker_of(Sighting(7, square(500, 300, raised(80, 90), 0.2), 1.0)).track_image(
+        PICTURE
+    )
     assert looked.poses[1].heading == pytest.approx(0.7)
 
 
@@ -243,22 +248,24 @@ def test_a_heading_offset_is_added():
 )
 def test_a_tag_of_another_size_is_another_tag(ratio, tracked):
     side = ratio * raised(80, 90)
-    looked = tracker_of(Sighting(0, square(500, 300, side), 1.0)).see(PICTURE)
+    looked = tracker_of(Sighting(0, square(500, 300, side), 1.0)).track_image(PICTURE)
     assert (looked.poses[0] is not None) is tracked
     assert looked.sizes[0] == pytest.approx(ratio)
 
 
 @pytest.mark.parametrize(("side_px", "shows_height"), [(25.1, True), (24.9, False)])
 def test_only_a_tag_of_25_pixels_shows_its_height(side_px, shows_height, monkeypatch):
-    monkeypatch.setattr(tag_camera, "ODD_SIZE", math.inf)
-    looked = tracker_of(Sighting(0, square(500, 300, side_px), 1.0)).see(PICTURE)
+    monkeypatch.setattr(tag_camera, "SIZE_DEVIATION_MAX", math.inf)
+    looked = tracker_of(Sighting(0, square(500, 300, side_px), 1.0)).track_image(PICTURE)
     assert (looked.poses[0].height is not None) is shows_height
     assert looked.poses[0].tilt == 0.02
 
 
 def test_a_tag_whose_stance_fits_no_pose_has_a_place_all_the_same():
     flat = Above(stance=None)
-    looked = tracker_of(Sighting(0, square(500, 300, raised(80, 90)), 1.0), above=flat).see(PICTURE)
+    looked = tracker_of(Sighting(0, square(500, 300, raised(80, 90)), 1.0), above=flat).track_image(
+        PICTURE
+    )
     assert looked.poses[0] is not None and looked.poses[0].height is None
 
 
@@ -268,7 +275,7 @@ def test_tags_that_are_not_in_the_spec_are_objects_on_the_floor():
         Sighting(100, square(400, 250, 120), 2.0),
         Sighting(0, square(500, 300, raised(80, 90)), 1.0),
     ]
-    looked = tracker_of(*sightings).see(PICTURE)
+    looked = tracker_of(*sightings).track_image(PICTURE)
     (unknown,) = looked.unknown_objects
     assert (unknown.x, unknown.y, unknown.heading) == pytest.approx((700, 800, 1.0))
     assert looked.tags == (0, 100, 333)
@@ -278,12 +285,12 @@ def test_tags_that_are_not_in_the_spec_are_objects_on_the_floor():
 
 def test_a_robot_whose_tag_is_seen_twice_is_not_tracked():
     twice = [Sighting(0, square(x, 300, raised(80, 90)), 1.0) for x in (500, 900)]
-    looked = tracker_of(*twice).see(PICTURE)
+    looked = tracker_of(*twice).track_image(PICTURE)
     assert looked.poses == (None, None, None) and looked.sizes == (None, None, None)
     assert looked.tags == (0, 0)
 
 
 def test_an_image_without_tags_has_no_blur_and_no_size():
-    looked = tracker_of().see(PICTURE)
+    looked = tracker_of().track_image(PICTURE)
     assert looked.blur is looked.side_px is None
     assert looked.tags == looked.unknown_objects == ()

@@ -35,7 +35,7 @@ def corners(height, tilt, about=0.7, middle=(1.2, 1.4)):
 @pytest.mark.parametrize("height", [0.0, 0.09, 0.5, 1.45])
 @pytest.mark.parametrize("middle", [(0.5, 0.4), (1.2, 1.4), (2.1, 2.0)])
 def test_a_flat_tag_is_flat_at_its_height(height, middle):
-    height_then, tilt = plane().stance(corners(height, 0.0, middle=middle), SIDE)
+    height_then, tilt = plane().height_and_tilt(corners(height, 0.0, middle=middle), SIDE)
     assert height_then == pytest.approx(height, abs=1e-4)
     assert tilt == pytest.approx(0.0, abs=1e-3)
 
@@ -43,7 +43,7 @@ def test_a_flat_tag_is_flat_at_its_height(height, middle):
 @pytest.mark.parametrize("tilt", [0.7, 0.9, 1.2])
 @pytest.mark.parametrize("about", [0.0, 1.0, 2.0, 3.0])
 def test_a_tilted_tag_does_not_look_flat(tilt, about):
-    _, height = plane().stance(corners(0.1, tilt, about), SIDE)
+    _, height = plane().height_and_tilt(corners(0.1, tilt, about), SIDE)
     assert 0.5 < height <= tilt + 1e-3
 
 

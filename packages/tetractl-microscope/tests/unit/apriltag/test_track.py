@@ -58,7 +58,7 @@ def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
     distances = []
     for k in range(10):
         time_ns = k * 33_000_000
-        looked = mine.see(renderer.picture(moving, time_ns))
+        looked = mine.track_image(renderer.picture(moving, time_ns))
         distances += [off(looked, i, moving(time_ns)) for i in range(3)]
     assert np.median(distances) < 1.0
     assert max(distances) < 3.0
@@ -69,7 +69,7 @@ def test_tilted_the_focal_length_is_found():
     mine = tracker()
     look(mine, renderer, times=8)
     assert mine.floor.plane.focal_px == pytest.approx(renderer.optics.focal_px, rel=0.005)
-    assert mine.floor.plane.doubt_mm < 1.5
+    assert mine.floor.plane.lens_error_mm < 1.5
 
 
 @pytest.mark.long
@@ -117,7 +117,7 @@ def test_a_floor_that_does_not_fit_the_spec_is_not_used():
     crossed = (*crossed[:2], crossed[2].model_copy(update={"tag": 102}), crossed[3])
     mine = tracker(floor=crossed)
     assert look(mine, rendered()).poses == (None, None, None)
-    assert mine.floor.misfit.worst_mm > 10.0
+    assert mine.floor.misfit.error_max_mm > 10.0
 
 
 def test_a_number_seen_twice_is_no_robot_and_no_stranger():

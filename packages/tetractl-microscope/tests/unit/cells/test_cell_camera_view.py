@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from testkit.microscope.needs_opencv import cv2
 from tetractl_microscope.cells.camera import (
-    LEARNED,
-    LEARNED_LEAST,
-    MEAN_S,
-    WIDER,
+    LEARNING_PARTS,
+    LEARNING_PICTURES_MIN,
+    MEAN_SPEED_MIN_S,
+    SD_FACTOR,
     CellCamera,
     CellsInView,
     LearningPictures,
 )
-from tetractl_microscope.cells.cell import Born, SeenCell
+from tetractl_microscope.cells.cell import CellBirth, SeenCell
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR
-from tetractl_microscope.cells.identity_watch import SURE
-from tetractl_microscope.cells.kernels.helix_steps import SPEED, STATES, WAY, A
+from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
+from tetractl_microscope.cells.kernels.helix_steps import PATH_LENGTH, SPEED, STATE_SIZE, A
 from tetractl_microscope.pictures.feed import Picture
 
 from tetractl.core.clock import SECOND, VirtualClock
@@ -60,10 +60,10 @@ def camera(rotation=0.0, unit="um", mirrored=False):
 
 
 def cell(number, x=1000.0, y=800.0, heading=0.3, way_um=0.0, probability=1.0, **more):
-    mean = np.zeros(STATES)
-    mean[[A, SPEED, WAY]] = 4.0, 310.0, way_um
-    sd = np.zeros(STATES)
-    sd[[A, SPEED, WAY]] = 0.2, 8.0, 5.0
+    mean = np.zeros(STATE_SIZE)
+    mean[[A, SPEED, PATH_LENGTH]] = 4.0, 310.0, way_um
+    sd = np.zeros(STATE_SIZE)
+    sd[[A, SPEED, PATH_LENGTH]] = 0.2, 8.0, 5.0
     return SeenCell(
         number, 10 + number, x, y, 0.0, heading, mean, sd, probability=probability, **more
     )
@@ -75,23 +75,23 @@ def view(*cells, seconds=5.0):
 
 def test_the_speed_is_the_filter_s_until_the_cell_was_seen_for_2_s():
     first = view(cell(1, way_um=700.0))
-    for passed_s in (0.0, MEAN_S):
+    for passed_s in (0.0, MEAN_SPEED_MIN_S):
         now = first.followed_by([cell(1, way_um=700 + 250 * passed_s)], 5 + passed_s, (0, 0))
         um_s, sd_um_s = now.speed(now.cells[0])
         assert um_s == 310.0
-        assert sd_um_s == pytest.approx(math.hypot(WIDER * 8.0, SPEED_ERROR * 310))
+        assert sd_um_s == pytest.approx(math.hypot(SD_FACTOR * 8.0, SPEED_ERROR * 310))
     now = first.followed_by([cell(1, way_um=700 + 250 * 2.5)], 7.5, (0, 0))
     um_s, sd_um_s = now.speed(now.cells[0])
     assert um_s == pytest.approx(250.0)
-    assert sd_um_s == pytest.approx(math.hypot(WIDER * 5.0 / 2.5, SPEED_ERROR * 250))
+    assert sd_um_s == pytest.approx(math.hypot(SD_FACTOR * 5.0 / 2.5, SPEED_ERROR * 250))
 
 
 def test_a_cell_that_was_lost_is_new_when_it_is_seen_again():
     shown = view(cell(1), cell(2))
     gone = shown.followed_by([cell(2)], 6.0, (0.0, 0.0))
     back = gone.followed_by([cell(1, way_um=90.0), cell(2)], 9.0, (0.0, 0.0))
-    assert back.first[11].seconds == 9.0 and back.first[11].way_um == 90.0
-    assert back.first[12].seconds == 5.0
+    assert back.first_sights[11].seconds == 9.0 and back.first_sights[11].path_length_um == 90.0
+    assert back.first_sights[12].seconds == 5.0
     assert back.now_s == 9.0
 
 
@@ -108,8 +108,8 @@ def test_candidates_are_in_the_spec_s_unit_with_the_errors_of_the_image(unit):
     (found,) = cells.candidates()
     assert (found.number, found.a) == (3, 4.0)
     assert found.speed == pytest.approx(310 * per_um)
-    assert found.speed_sd == pytest.approx(per_um * math.hypot(WIDER * 8, SPEED_ERROR * 310))
-    assert found.a_sd == pytest.approx(math.hypot(WIDER * 0.2, A_ERROR * 4))
+    assert found.speed_sd == pytest.approx(per_um * math.hypot(SD_FACTOR * 8, SPEED_ERROR * 310))
+    assert found.a_sd == pytest.approx(math.hypot(SD_FACTOR * 0.2, A_ERROR * 4))
     assert (found.pose.x, found.pose.y) == pytest.approx((1000 * per_um, 800 * per_um))
     assert found.pose.heading == pytest.approx(0.3) and found.free
 
@@ -118,8 +118,8 @@ def test_candidates_are_in_the_spec_s_unit_with_the_errors_of_the_image(unit):
     ("more", "listed"),
     [
         ({}, True),
-        ({"probability": SURE}, True),
-        ({"probability": SURE - 0.001}, False),
+        ({"probability": KNOWN_PROBABILITY}, True),
+        ({"probability": KNOWN_PROBABILITY - 0.001}, False),
         ({"has_blob": False}, False),
     ],
 )
@@ -176,7 +176,7 @@ def test_a_robot_whose_cell_has_divided_is_named_until_it_is_replaced():
     shown = view(cell(5, 400.0, 400.0), cell(7, 1200.0, 1200.0))
     cells._take_robots(shown)
     assert list(cells.divided) == []
-    cells._tracker._newcomers.born = [Born(9, 9, 7), Born(8, 8, None)]
+    cells._tracker._newcomers.born = [CellBirth(9, 9, 7), CellBirth(8, 8, None)]
     cells._take_robots(shown)
     assert list(cells.divided) == [1]
     cells._tracker._newcomers.born = []
@@ -190,7 +190,7 @@ def taken(learning_s, hz, count):
     """The index of the image with which learning ends, and how many images are learned from."""
     learning = LearningPictures(learning_s)
     for k in range(count):
-        pictures = learning.take(np.full((2, 2), k, np.uint8), 7 * SECOND + round(k * SECOND / hz))
+        pictures = learning.add(np.full((2, 2), k, np.uint8), 7 * SECOND + round(k * SECOND / hz))
         if pictures:
             return k, [int(picture[0, 0]) for picture in pictures]
     return None, []
@@ -199,7 +199,7 @@ def taken(learning_s, hz, count):
 def test_learning_takes_its_time_and_spreads_the_images_over_it():
     end, learned = taken(1.0, 60, 200)
     assert end == 60
-    assert LEARNED <= len(learned) <= LEARNED + 1
+    assert LEARNING_PARTS <= len(learned) <= LEARNING_PARTS + 1
     assert learned[0] == 0 and learned[-1] == 60
     assert np.diff(learned).min() >= 3 and np.diff(learned).max() <= 5
 
@@ -207,8 +207,8 @@ def test_learning_takes_its_time_and_spreads_the_images_over_it():
 @pytest.mark.parametrize("hz", [2.0, 5.0])
 def test_learning_waits_for_7_images_if_they_come_slowly(hz):
     end, learned = taken(1.0, hz, 100)
-    assert end == LEARNED_LEAST - 1
-    assert learned == list(range(LEARNED_LEAST))
+    assert end == LEARNING_PICTURES_MIN - 1
+    assert learned == list(range(LEARNING_PICTURES_MIN))
 
 
 # ---- pictures of cells that swim straight ----

@@ -11,29 +11,29 @@ from hypothesis import strategies as st
 from scipy import stats
 from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import (
-    LEAST_S,
-    PATIENCE_S,
+    LIKELIHOOD_EXPONENT,
+    LOG_PENALTY_MAX,
+    OPEN_MAX_S,
+    OPEN_MIN_S,
+    SELF_TURN_PROBABILITY,
     SETTLED_S,
-    SIZED,
-    TEMPER,
-    TURNS,
-    WIDER,
-    WORSE,
+    SIZE_IMAGES,
+    SPREAD_FACTOR,
     CellTrack,
+    IdentityQuestion,
     Member,
     TrackBlob,
-    WhichIsWhich,
+    all_assignments,
+    log_assignment_probabilities,
     log_densities,
-    log_of_each,
-    normalised,
-    orders,
+    to_probabilities,
 )
 
 SIZE = BodySize(50.0, 25.0)
 
 
 def track(number):
-    return CellTrack(number, row=number, size=SIZE, last=np.zeros(2))
+    return CellTrack(number, row=number, size=SIZE, last_um=np.zeros(2))
 
 
 def question(count=2, prior=None, not_unknown=None, sizes=None):
@@ -43,29 +43,29 @@ def question(count=2, prior=None, not_unknown=None, sizes=None):
     ]
     prior = np.zeros(math.factorial(count)) if prior is None else np.array(prior)
     none = np.ones((count, count)) if not_unknown is None else np.array(not_unknown)
-    return WhichIsWhich(members, np.arange(count**2).reshape(count, count), prior, none, 5.0)
+    return IdentityQuestion(members, np.arange(count**2).reshape(count, count), prior, none, 5.0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_the_orders_are_all_assignments(count):
-    found = {tuple(order) for order in orders(count).tolist()}
+    found = {tuple(order) for order in all_assignments(count).tolist()}
     assert found == set(itertools.permutations(range(count)))
 
 
 @given(st.integers(1, 4), st.integers(0, 2**31))
 def test_the_log_of_an_assignment_is_the_sum_over_its_tracks(count, seed):
     table = np.random.default_rng(seed).normal(size=(count, count))
-    logs = log_of_each(orders(count), table)
-    for order, log in zip(orders(count), logs, strict=True):
+    logs = log_assignment_probabilities(all_assignments(count), table)
+    for order, log in zip(all_assignments(count), logs, strict=True):
         assert log == pytest.approx(sum(table[t, n] for t, n in enumerate(order)))
 
 
 @given(st.lists(st.floats(-2000.0, 2000.0), min_size=1, max_size=9))
 def test_probabilities_add_up_to_1_whatever_the_constant(logs):
-    shares = normalised(np.array(logs))
+    shares = to_probabilities(np.array(logs))
     assert shares.sum() == pytest.approx(1.0)
     assert (shares >= 0).all() and shares[np.argmax(logs)] == shares.max()
-    assert normalised(np.array(logs) + 700.0) == pytest.approx(shares, abs=1e-9)
+    assert to_probabilities(np.array(logs) + 700.0) == pytest.approx(shares, abs=1e-9)
 
 
 def test_the_rows_of_a_track_are_its_own_or_those_of_its_question():
@@ -79,21 +79,21 @@ def test_the_rows_of_a_track_are_its_own_or_those_of_its_question():
 def test_likelihoods_count_for_their_track_once_the_rows_have_settled():
     asked = question()
     first, second = asked.tracks
-    asked.add(first, np.array([0.0, -2.0]), None, 5.0 + SETTLED_S - 0.01)
-    assert not asked.likelihood.any()
-    asked.add(second, np.array([-7.0, -5.0]), None, 5.0 + SETTLED_S + 0.01)
-    assert asked.likelihood[0].tolist() == [0.0, 0.0]
-    assert asked.likelihood[1] == pytest.approx([-2 * TEMPER, 0.0])
-    odds = math.exp(2 * TEMPER)
-    assert asked.best()[0] == (0, 1)
-    assert asked.best()[1] == pytest.approx([odds / (1 + odds)] * 2)
+    asked.add_measurement(first, np.array([0.0, -2.0]), None, 5.0 + SETTLED_S - 0.01)
+    assert not asked.log_likelihoods.any()
+    asked.add_measurement(second, np.array([-7.0, -5.0]), None, 5.0 + SETTLED_S + 0.01)
+    assert asked.log_likelihoods[0].tolist() == [0.0, 0.0]
+    assert asked.log_likelihoods[1] == pytest.approx([-2 * LIKELIHOOD_EXPONENT, 0.0])
+    odds = math.exp(2 * LIKELIHOOD_EXPONENT)
+    assert asked.best_assignment()[0] == (0, 1)
+    assert asked.best_assignment()[1] == pytest.approx([odds / (1 + odds)] * 2)
 
 
 def test_one_image_says_only_so_much_against_a_cell():
     asked = question()
-    asked.add(asked.tracks[0], np.array([0.0, -900.0]), None, 9.0)
-    assert asked.likelihood[0] == pytest.approx([0.0, -WORSE * TEMPER])
-    asked.add(asked.tracks[0], np.array([-900.0, 0.0]), None, 9.0)
+    asked.add_measurement(asked.tracks[0], np.array([0.0, -900.0]), None, 9.0)
+    assert asked.log_likelihoods[0] == pytest.approx([0.0, -LOG_PENALTY_MAX * LIKELIHOOD_EXPONENT])
+    asked.add_measurement(asked.tracks[0], np.array([-900.0, 0.0]), None, 9.0)
     assert asked.probabilities() == pytest.approx([0.5, 0.5])
 
 
@@ -101,41 +101,41 @@ def test_sizes_count_in_the_first_images_of_each_track_from_the_beginning():
     sizes = [BodySize(60.0, 26.0), BodySize(48.0, 29.0)]
     asked = question(sizes=sizes)
     first, second = asked.tracks
-    for _ in range(SIZED):
-        asked.add(first, np.zeros(2), sizes[1], 5.0)
-    after = asked.likelihood.copy()
+    for _ in range(SIZE_IMAGES):
+        asked.add_measurement(first, np.zeros(2), sizes[1], 5.0)
+    after = asked.log_likelihoods.copy()
     assert after[0, 1] == pytest.approx(0.0) and after[0, 0] < -0.3
     assert not after[1].any()
-    asked.add(first, np.zeros(2), sizes[0], 5.0)  # one too many
-    assert (asked.likelihood == after).all()
-    asked.add(second, np.zeros(2), sizes[0], 5.0)
-    assert asked.likelihood[1, 1] < asked.likelihood[1, 0]
-    assert asked.best()[0] == (1, 0)
+    asked.add_measurement(first, np.zeros(2), sizes[0], 5.0)  # one too many
+    assert (asked.log_likelihoods == after).all()
+    asked.add_measurement(second, np.zeros(2), sizes[0], 5.0)
+    assert asked.log_likelihoods[1, 1] < asked.log_likelihoods[1, 0]
+    assert asked.best_assignment()[0] == (1, 0)
 
 
 def test_a_size_is_student_distributed_in_its_logarithm():
     sizes = [BodySize(50.0, 25.0), BodySize(60.0, 25.0)]
     asked = question(sizes=sizes)
-    asked.add(asked.tracks[0], np.zeros(2), (54.0, 24.0), 5.0)
+    asked.add_measurement(asked.tracks[0], np.zeros(2), (54.0, 24.0), 5.0)
     logs = []
     for long, wide in sizes:
         off = np.log([54.0 / long, 24.0 / wide]) / 0.1
-        logs.append(sum(stats.t.logpdf(off, 2) - stats.t.logpdf(0, 2)) / SIZED)
-    assert asked.likelihood[0] == pytest.approx(logs)
+        logs.append(sum(stats.t.logpdf(off, 2) - stats.t.logpdf(0, 2)) / SIZE_IMAGES)
+    assert asked.log_likelihoods[0] == pytest.approx(logs)
 
 
 def test_the_prior_and_the_chance_of_something_unknown_lower_the_certainty():
     asked = question(prior=[math.log(3.0), 0.0], not_unknown=[[0.9, 0.1], [0.2, 0.6]])
-    order, shares = asked.best()
+    order, shares = asked.best_assignment()
     assert order == (0, 1)
     assert shares == pytest.approx([0.75 * 0.9, 0.75 * 0.6])
     crossed = question(prior=[0.0, math.log(3.0)], not_unknown=[[0.9, 0.1], [0.2, 0.6]])
-    assert crossed.best() == ((1, 0), pytest.approx([0.75 * 0.1, 0.75 * 0.2]))
+    assert crossed.best_assignment() == ((1, 0), pytest.approx([0.75 * 0.1, 0.75 * 0.2]))
 
 
 def test_a_track_of_three_may_be_certain_while_the_others_are_not():
-    asked = question(3, prior=np.where(orders(3)[:, 0] == 0, 0.0, -50.0))
-    order, shares = asked.best()
+    asked = question(3, prior=np.where(all_assignments(3)[:, 0] == 0, 0.0, -50.0))
+    order, shares = asked.best_assignment()
     assert order[0] == 0
     assert shares == pytest.approx([1.0, 0.5, 0.5])
 
@@ -143,17 +143,17 @@ def test_a_track_of_three_may_be_certain_while_the_others_are_not():
 @pytest.mark.parametrize(
     ("certain", "open_s", "ends"),
     [
-        (True, LEAST_S + 0.01, True),
-        (True, LEAST_S - 0.01, False),
-        (False, LEAST_S + 0.01, False),
-        (False, PATIENCE_S - 0.01, False),
-        (False, PATIENCE_S + 0.01, True),
-        (True, PATIENCE_S + 0.01, True),
+        (True, OPEN_MIN_S + 0.01, True),
+        (True, OPEN_MIN_S - 0.01, False),
+        (False, OPEN_MIN_S + 0.01, False),
+        (False, OPEN_MAX_S - 0.01, False),
+        (False, OPEN_MAX_S + 0.01, True),
+        (True, OPEN_MAX_S + 0.01, True),
     ],
 )
 def test_a_question_ends_when_it_is_certain_or_has_been_open_for_long(certain, open_s, ends):
     asked = question(prior=[0.0, -7.0 if certain else -5.0])  # 0.9991 or 0.9933
-    assert asked.ends(5.0 + open_s) == ends
+    assert asked.is_decided(5.0 + open_s) == ends
 
 
 class Bank:
@@ -163,7 +163,7 @@ class Bank:
         self.places = np.array(places, float)
         self.spreads = np.array(spreads, float)
 
-    def expected(self, rows):
+    def predict_bodies(self, rows):
         bodies = np.column_stack([self.places[rows], np.zeros(len(rows))])
         return bodies, self.spreads[rows]
 
@@ -178,29 +178,29 @@ def test_the_density_of_a_cell_is_student_s_about_where_it_is_expected():
     assert found.shape == (3, 2)
     for t, n in itertools.product(range(3), range(2)):
         spread = np.array(spreads[n]) + sd_um[t] ** 2 * np.eye(2)
-        here = stats.multivariate_t(bank.places[n], WIDER**2 * spread, df=2)
-        density = here.pdf(places[t, :2]) + TURNS * math.exp(unknown)
+        here = stats.multivariate_t(bank.places[n], SPREAD_FACTOR**2 * spread, df=2)
+        density = here.pdf(places[t, :2]) + SELF_TURN_PROBABILITY * math.exp(unknown)
         assert found[t, n] == pytest.approx(math.log(density))
 
 
 def test_a_far_place_is_as_likely_as_for_a_cell_that_turned_by_itself():
     bank = Bank([(0.0, 0.0)], [np.eye(2)])
     (found,) = log_densities(bank, [0], np.array([(1e6, 0.0, 0.0)]), np.ones(1), -9.0)
-    assert found == pytest.approx(-9.0 + math.log(TURNS), abs=1e-3)
+    assert found == pytest.approx(-9.0 + math.log(SELF_TURN_PROBABILITY), abs=1e-3)
 
 
 def test_a_track_moves_with_the_content_of_the_image():
     moving = CellTrack(
-        1, 0, SIZE, last=np.array([5.0, 6.0]), path=[PathBlob(0.0, 1.0, 2.0, 0.0, 9.0, 4.0)]
+        1, 0, SIZE, last_um=np.array([5.0, 6.0]), path=[PathBlob(0.0, 1.0, 2.0, 0.0, 9.0, 4.0)]
     )
-    moving.shift(10.0, -1.0)
-    assert moving.last.tolist() == [15.0, 5.0]
+    moving.move_by(10.0, -1.0)
+    assert moving.last_um.tolist() == [15.0, 5.0]
     assert moving.path[0][1:3] == (11.0, 1.0)
-    assert moving.start is None and not moving.is_new
-    moving.start = np.array([0.0, 0.0])
-    moving.shift(-10.0, 3.0)
-    assert moving.start.tolist() == [-10.0, 3.0] and moving.is_new
-    assert moving.last.tolist() == [5.0, 8.0]
+    assert moving.start_um is None and not moving.is_new
+    moving.start_um = np.array([0.0, 0.0])
+    moving.move_by(-10.0, 3.0)
+    assert moving.start_um.tolist() == [-10.0, 3.0] and moving.is_new
+    assert moving.last_um.tolist() == [5.0, 8.0]
 
 
 @pytest.mark.parametrize("cut", [True, False])
@@ -216,7 +216,7 @@ def test_a_blob_that_is_cut_off_has_a_place_and_no_size(cut):
 def test_a_track_shares_its_blob_only_if_it_has_one():
     lone = track(1)
     assert not lone.is_shared
-    lone.newest = TrackBlob(0, SimpleNamespace(at_edge=False), np.zeros(5))
+    lone.newest_blob = TrackBlob(0, SimpleNamespace(at_edge=False), np.zeros(5))
     assert not lone.is_shared
-    lone.newest = TrackBlob(0, SimpleNamespace(at_edge=False), np.zeros(5), is_shared=True)
+    lone.newest_blob = TrackBlob(0, SimpleNamespace(at_edge=False), np.zeros(5), is_shared=True)
     assert lone.is_shared

@@ -7,19 +7,19 @@ import cv2
 import numpy as np
 import pytest
 from tetractl_microscope.cells.cells_health import (
-    BLURRED,
-    DARK,
-    FAINT,
-    SATURATED,
-    SMALL_PX,
+    DARK_LEVEL,
+    FAINT_RATIO,
+    SATURATED_LEVEL,
+    SHARPNESS_MIN,
+    WIDTH_MIN_PX,
     SeenDish,
     cell_count,
-    dish_lines,
-    faint_line,
+    describe_faint_cells,
+    find_problems,
     sharpness,
 )
 from tetractl_microscope.cells.detect_cells import Light
-from tetractl_microscope.cells.identity_watch import SURE
+from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
 from tetractl_microscope.pictures.searches import PictureSearch
 
 from tetractl.core.poses import Pose
@@ -52,7 +52,7 @@ def test_sharpness_does_not_depend_on_where_cells_swim():
     assert max(values) < 1.1 * min(values)
 
 
-LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)
+LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed_fraction=0.01, lost=False)
 
 
 def searches(**changes):
@@ -63,7 +63,7 @@ def searches(**changes):
         "light": LIGHT,
         "level": 120.0,
         "sharpness": 0.3,
-        "sure": 1.0,
+        "certainty_min": 1.0,
     } | changes
     return [PictureSearch(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
 
@@ -77,18 +77,18 @@ def searches(**changes):
         ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
         ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, but 2"),
         (
-            {"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)},
+            {"light": Light(1, 3.0, 9.0, 0.01, False, contrast_min=7.0)},
             11.0,
             "objects below 7 are missed",
         ),
-        ({"light": Light(1, 3.0, None, 0.0, False, limit=7.0)}, 11.0, "no object differs"),
+        ({"light": Light(1, 3.0, None, 0.0, False, contrast_min=7.0)}, 11.0, "no object differs"),
         ({"sharpness": 0.05}, 11.0, "focus"),
-        ({"sure": 0.6}, 11.0, "it is uncertain which cell is which"),
+        ({"certainty_min": 0.6}, 11.0, "it is uncertain which cell is which"),
         ({}, 5.2, "a cell is only 5 px wide, but at least 8 px"),
     ],
 )
 def test_health_says_what_is_wrong_in_words(changes, width_px, says):
-    problems, warnings = dish_lines(("first", "second"), searches(**changes), width_px)
+    problems, warnings = find_problems(("first", "second"), searches(**changes), width_px)
     lines = [*problems, *warnings]
     assert (lines == []) if not says else any(says in line for line in lines)
 
@@ -96,7 +96,7 @@ def test_health_says_what_is_wrong_in_words(changes, width_px, says):
 @pytest.mark.parametrize(("blur_px", "is_blurred"), [(0.6, False), (2.0, False), (4.0, True)])
 def test_rims_are_blurred_in_any_direction(blur_px, is_blurred):
     for angle in (0.0, 0.7, math.pi / 2):
-        assert (sharpness_of(angle, blur_px) < BLURRED) == is_blurred
+        assert (sharpness_of(angle, blur_px) < SHARPNESS_MIN) == is_blurred
 
 
 def test_no_sharpness_without_contrast_or_without_cells():
@@ -106,33 +106,33 @@ def test_no_sharpness_without_contrast_or_without_cells():
 
 
 def counts(width_px=11.0, **changes):
-    problems, warnings = dish_lines(("first", "second"), searches(**changes), width_px)
+    problems, warnings = find_problems(("first", "second"), searches(**changes), width_px)
     return len(problems), len(warnings)
 
 
 def light(**changes):
-    values = {"gain": 1.0, "noise": 2.0, "contrast": 60.0, "changed": 0.01, "lost": False}
+    values = {"gain": 1.0, "noise": 2.0, "contrast": 60.0, "changed_fraction": 0.01, "lost": False}
     return Light(**(values | changes))
 
 
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"level": DARK - 0.1}, (1, 0)),
-        ({"level": DARK}, (0, 0)),
-        ({"level": SATURATED}, (0, 0)),
-        ({"level": SATURATED + 0.1}, (1, 0)),
-        ({"sure": SURE}, (0, 0)),
-        ({"sure": SURE - 0.01}, (0, 1)),
-        ({"sure": 0.0, "poses": (Pose(0, 0, 0), None)}, (1, 0)),  # one line is enough
-        ({"sharpness": BLURRED}, (0, 0)),
-        ({"sharpness": BLURRED - 0.001}, (0, 1)),
+        ({"level": DARK_LEVEL - 0.1}, (1, 0)),
+        ({"level": DARK_LEVEL}, (0, 0)),
+        ({"level": SATURATED_LEVEL}, (0, 0)),
+        ({"level": SATURATED_LEVEL + 0.1}, (1, 0)),
+        ({"certainty_min": KNOWN_PROBABILITY}, (0, 0)),
+        ({"certainty_min": KNOWN_PROBABILITY - 0.01}, (0, 1)),
+        ({"certainty_min": 0.0, "poses": (Pose(0, 0, 0), None)}, (1, 0)),  # one line is enough
+        ({"sharpness": SHARPNESS_MIN}, (0, 0)),
+        ({"sharpness": SHARPNESS_MIN - 0.001}, (0, 1)),
         ({"sharpness": None}, (0, 0)),
-        ({"width_px": SMALL_PX}, (0, 0)),
-        ({"width_px": SMALL_PX - 0.1}, (0, 1)),
-        ({"light": light(limit=60.0 / FAINT - 0.01)}, (0, 0)),
-        ({"light": light(limit=60.0 / FAINT + 0.01)}, (0, 1)),
-        ({"light": light(contrast=None, lost=True, changed=0.4)}, (1, 0)),
+        ({"width_px": WIDTH_MIN_PX}, (0, 0)),
+        ({"width_px": WIDTH_MIN_PX - 0.1}, (0, 1)),
+        ({"light": light(contrast_min=60.0 / FAINT_RATIO - 0.01)}, (0, 0)),
+        ({"light": light(contrast_min=60.0 / FAINT_RATIO + 0.01)}, (0, 1)),
+        ({"light": light(contrast=None, lost=True, changed_fraction=0.4)}, (1, 0)),
         ({"light": light(contrast=None)}, (0, 1)),
     ],
 )
@@ -141,17 +141,19 @@ def test_each_limit_has_one_line_and_nothing_is_said_at_the_limit(changes, expec
 
 
 def test_a_moved_stage_is_named_with_the_part_of_the_image_that_differs():
-    (line,), _ = dish_lines(("a", "b"), searches(light=light(lost=True, changed=0.4)), 11.0)
+    (line,), _ = find_problems(
+        ("a", "b"), searches(light=light(lost=True, changed_fraction=0.4)), 11.0
+    )
     assert line.startswith("40 % of the image differs")
 
 
 def test_no_images_say_nothing():
-    assert dish_lines(("a", "b"), [], 1.0) == ([], [])
+    assert find_problems(("a", "b"), [], 1.0) == ([], [])
 
 
 def test_single_bad_images_say_nothing_of_light_and_focus():
     good, dark = searches(), searches(level=1.0, sharpness=0.01, light=light(contrast=1.0))
-    assert dish_lines(("a", "b"), [*dark[:9], *good[:11]], 11.0) == ([], [])
+    assert find_problems(("a", "b"), [*dark[:9], *good[:11]], 11.0) == ([], [])
 
 
 def test_cells_in_view_are_the_robots_that_are_seen_and_the_others():
@@ -162,10 +164,10 @@ def test_cells_in_view_are_the_robots_that_are_seen_and_the_others():
 
 
 def test_a_faint_contrast_is_said_with_both_numbers():
-    assert "median of 9 grey levels" in faint_line(9.0, 8.0)
-    assert "below 8 are missed" in faint_line(9.0, 8.0)
-    assert "by 8 grey levels" in faint_line(None, 8.0)
-    assert faint_line(80.0, 8.0) is None
+    assert "median of 9 grey levels" in describe_faint_cells(9.0, 8.0)
+    assert "below 8 are missed" in describe_faint_cells(9.0, 8.0)
+    assert "by 8 grey levels" in describe_faint_cells(None, 8.0)
+    assert describe_faint_cells(80.0, 8.0) is None
 
 
 @pytest.mark.parametrize("place", ["left", "top", "right", "bottom"])

@@ -104,8 +104,8 @@ def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     missed = 0
     for k in range(15, 45):
         shift = (6.0, -5.0) if k >= 30 else (0.0, 0.0)
-        blobs = blob_finder.find(dish.picture(cells_at(k), shift))
-        blob_finder.follow([])
+        blobs = blob_finder.find_blobs(dish.picture(cells_at(k), shift))
+        blob_finder.update_background([])
         shifts.append(blob_finder.light.shift_px)
         missed += matched(blobs, cells_at(k), shift).count(None)
     assert missed <= 0.02 * 30 * 8
@@ -127,7 +127,7 @@ def errors_in(dish):
     errors = Errors([], [])
     for k in range(15, 30):
         cells = cells_at(k)
-        blobs = blob_finder.find(dish.picture(cells))
+        blobs = blob_finder.find_blobs(dish.picture(cells))
         for (x, y, axis), blob in zip(cells, matched(blobs, cells), strict=True):
             assert sum(math.dist((b.x, b.y), (x, y)) < 20 for b in blobs) == 1
             errors.places.append(math.dist((blob.x, blob.y), (x, y)))
@@ -154,11 +154,11 @@ def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
     rested = (160.0, 160.0, 0.4)
     gone = (260.0, 160.0, 0.4)
     blob_finder.learn([dish.picture([rested])] * 9)
-    blob_finder.find(dish.picture([gone]))
-    blobs = blob_finder.find(dish.picture([gone]))
+    blob_finder.find_blobs(dish.picture([gone]))
+    blobs = blob_finder.find_blobs(dish.picture([gone]))
     assert [math.dist((b.x, b.y), gone[:2]) < 1 for b in blobs] == [True]
     assert (
-        len(blob_finder.find(dish.picture([rested]))) == 1
+        len(blob_finder.find_blobs(dish.picture([rested]))) == 1
     )  # it is not in the background any more
 
 
@@ -174,11 +174,11 @@ def test_a_dish_that_was_exchanged_is_learned_again():
 
     lost = []
     for k in range(15, 75):
-        blob_finder.find(turned(k))
-        blob_finder.follow([])
+        blob_finder.find_blobs(turned(k))
+        blob_finder.update_background([])
         lost.append(blob_finder.light.lost)
     assert lost[0] and not lost[-1]
-    blobs = blob_finder.find(turned(75))
+    blobs = blob_finder.find_blobs(turned(75))
     places = [(y, x, 0.0) for x, y, _ in cells_at(75)]
     assert matched(blobs, places).count(None) <= 1
 
@@ -190,5 +190,5 @@ def test_pictures_of_any_size_are_searched(size):
     pictures = random.integers(90, 110, (3, *size)).astype(np.uint8)
     blob_finder.learn(list(pictures))
     picture = cv2.GaussianBlur(random.integers(0, 255, size).astype(np.uint8), (0, 0), 2)
-    assert all(math.isfinite(blob.x + blob.axis) for blob in blob_finder.find(picture))
-    blob_finder.follow([(0, 0, 5, 5)])
+    assert all(math.isfinite(blob.x + blob.axis) for blob in blob_finder.find_blobs(picture))
+    blob_finder.update_background([(0, 0, 5, 5)])

@@ -7,19 +7,19 @@ import pytest
 from testkit.microscope import helix_steps as oracle
 from testkit.microscope.dish_films import film, record
 from tetractl_microscope.cells.helix import (
-    WALL_UM,
+    WALL_REACH_UM,
     HelixFilter,
     new_cell,
-    open_water,
+    nowhere_near_wall,
 )
 from tetractl_microscope.cells.kernels.helix_path import smooth
 from tetractl_microscope.cells.kernels.helix_steps import (
     DELAY,
     HEADING,
     LEAD,
-    SLOWEST,
     SPEED,
-    STATES,
+    SPEED_MIN,
+    STATE_SIZE,
     TURN,
     A,
     C,
@@ -69,7 +69,7 @@ def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(field_known):
     sway = []
     for seed in range(3):
         synthetic, bank, rows = followed(seed, field_known)
-        off.append(wrap(bank.mean[rows, HEADING] - synthetic.heading[-1]))
+        off.append(wrap(bank.means[rows, HEADING] - synthetic.heading[-1]))
         sway.append(wrap(synthetic.body[..., 2] - synthetic.heading).std())
     assert np.mean(sway) > 0.15
     assert np.sqrt(np.mean(np.square(off))) < (0.05 if field_known else 0.12)
@@ -80,9 +80,9 @@ def test_turning_rates_and_speeds_are_within_their_intervals():
     errors = []
     for seed in range(4):
         synthetic, bank, rows = followed(seed)
-        deviation = np.sqrt(np.diagonal(bank.covariance[rows], axis1=1, axis2=2))
+        deviation = np.sqrt(np.diagonal(bank.covariances[rows], axis1=1, axis2=2))
         for state, truth in ((A, synthetic.cells.a), (SPEED, synthetic.cells.speed)):
-            errors.append((bank.mean[rows, state] - truth) / deviation[:, state])
+            errors.append((bank.means[rows, state] - truth) / deviation[:, state])
             assert np.all(deviation[:, state] < 0.1 * np.abs(truth))
     assert np.mean(np.abs(errors) < 1.96) >= 0.92
 
@@ -94,10 +94,10 @@ def test_a_heading_that_was_the_wrong_way_round_is_turned():
     for k in range(1, 60):
         bank.predict([(1 / 30, 0.0, 0.0)])
         if k % 3 == 0:
-            bank.loosen([row])
+            bank.widen([row])
         bank.update(rows, np.array([[10.0 * k, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]]))
-    assert abs(wrap(bank.mean[row, HEADING])) < 0.3
-    assert bank.mean[row, SPEED] > 200
+    assert abs(wrap(bank.means[row, HEADING])) < 0.3
+    assert bank.means[row, SPEED] > 200
 
 
 def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
@@ -122,10 +122,10 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
             body = bodies(cells)
             measured = np.column_stack([body.x, body.y, body.axis])
             bank.update(rows, measured + random.normal(0, 1, measured.shape) * deviation, deviation)
-        return (bank.mean[rows, A] - cells.a) / np.sqrt(bank.covariance[rows, A, A])
+        return (bank.means[rows, A] - cells.a) / np.sqrt(bank.covariances[rows, A, A])
 
-    assert np.abs(learned(open_water)).max() > 5
-    off = learned(lambda x, y: x > -WALL_UM)
+    assert np.abs(learned(nowhere_near_wall)).max() > 5
+    off = learned(lambda x, y: x > -WALL_REACH_UM)
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
@@ -135,32 +135,32 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
     bank = HelixFilter(near_wall=lambda x, y: np.full(len(x), walled))
     row = bank.add(3.0, -2.0, 0.4, speed)
     pieces = [(0.02, 0.6, 0.8), (0.013, -0.8, 0.6)]
-    bank.mean[row, [C, S, TURN, DELAY, LEAD]] = 4.0, -3.0, 0.1, 0.01, 0.2
-    root = random.normal(0, 0.3, (STATES, STATES))
-    bank.covariance[row] += root @ root.T
-    m = bank.mean[row].copy()
-    p = bank.covariance[row].copy()
+    bank.means[row, [C, S, TURN, DELAY, LEAD]] = 4.0, -3.0, 0.1, 0.01, 0.2
+    root = random.normal(0, 0.3, (STATE_SIZE, STATE_SIZE))
+    bank.covariances[row] += root @ root.T
+    m = bank.means[row].copy()
+    p = bank.covariances[row].copy()
     *_, model = new_cell(TETRAHYMENA, field_known=True)
     bank.predict(pieces)
     for k, (seconds, *field) in enumerate(pieces):
         if k and not walled:
-            change = (0.6, 0.8), (-0.8, 0.6), model[SLOWEST]
+            change = (0.6, 0.8), (-0.8, 0.6), model[SPEED_MIN]
             f = oracle.slopes(lambda state, change=change: oracle.switched(state, *change), m)
             m = oracle.switched(m, *change)
             p = f @ p @ f.T
         m, p, _ = oracle.move(m, p, model, walled, seconds, field)
-    assert bank.mean[row] == pytest.approx(m, rel=1e-8)
-    assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
+    assert bank.means[row] == pytest.approx(m, rel=1e-8)
+    assert bank.covariances[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
     for near in (1.0, 60.0):  # and an outlier
-        bank.mean[row] = m
-        bank.covariance[row] = p
-        measured = oracle.body(m, model[SLOWEST]) + np.array([near, 0.5, 0.1])
+        bank.means[row] = m
+        bank.covariances[row] = p
+        measured = oracle.body(m, model[SPEED_MIN]) + np.array([near, 0.5, 0.1])
         deviation = np.array([1.0, 1.0, 0.05])
         *corrected, likelihood, distance = oracle.correct(m, p, model, measured, deviation)
         ours = bank.update(np.array([row]), measured[None], deviation[None])
         assert np.ravel(ours) == pytest.approx([likelihood, distance], rel=1e-6)
-        assert bank.mean[row] == pytest.approx(corrected[0], rel=1e-6, abs=1e-6)
-        assert bank.covariance[row] == pytest.approx(corrected[1], rel=1e-5, abs=1e-4)
+        assert bank.means[row] == pytest.approx(corrected[0], rel=1e-6, abs=1e-6)
+        assert bank.covariances[row] == pytest.approx(corrected[1], rel=1e-5, abs=1e-4)
 
 
 def test_the_smoother_is_that_of_rauch_tung_and_striebel():
@@ -168,25 +168,25 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     random = np.random.default_rng(1)
     count = 30
     pieces = [(1 / 30, 0.6, 0.8)] * 15 + [(1 / 30, -0.8, 0.6)] * 14
-    m = bank.mean[rows[0]].copy()
-    p = bank.covariance[rows[0]].copy()
+    m = bank.means[rows[0]].copy()
+    p = bank.covariances[rows[0]].copy()
     *_, model = new_cell(TETRAHYMENA, field_known=True)
     truth = m.copy()
     measured = []
     for k in range(count):
         if k:
             seconds, *field = pieces[k - 1]
-            truth = oracle.moved(truth, 0 * p, seconds, field, model[SLOWEST])
-        body = oracle.body(truth, model[SLOWEST])
+            truth = oracle.moved(truth, 0 * p, seconds, field, model[SPEED_MIN])
+        body = oracle.body(truth, model[SPEED_MIN])
         measured.append(body + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
     measured = np.array(measured)
     deviation = np.tile((POSITION, POSITION, AXIS), (count, 1))
     measured[12:16] = np.nan
     wanted = oracle.smooth(m, p, model, measured, deviation, pieces)
-    states = np.empty((count, STATES))
+    states = np.empty((count, STATE_SIZE))
     first = np.maximum(np.arange(count + 1) - 1, 0)
     bodies = np.empty((count, 3))
     smooth(m.copy(), p, model, measured, deviation, np.array(pieces), first, states, bodies)
-    assert bodies[3] == pytest.approx(oracle.body(states[3], model[SLOWEST]))
+    assert bodies[3] == pytest.approx(oracle.body(states[3], model[SPEED_MIN]))
     assert states[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
     assert states[:, A] == pytest.approx(wanted[:, A], abs=2e-3)

@@ -4,14 +4,19 @@ import numpy as np
 import pytest
 from testkit.microscope import helix_steps as oracle
 from tetractl_microscope.cells.helix import new_cell
-from tetractl_microscope.cells.kernels.helix_path import ODD_DISTANCE, ODD_RUN, likelihoods, smooth
+from tetractl_microscope.cells.kernels.helix_path import (
+    DISTANT_COUNT,
+    DISTANT_SQUARED,
+    log_likelihoods_of,
+    smooth,
+)
 from tetractl_microscope.cells.kernels.helix_steps import (
     HEADING,
+    PATH_LENGTH,
     RATE,
-    SLOWEST,
     SPEED,
-    STATES,
-    WAY,
+    SPEED_MIN,
+    STATE_SIZE,
     A,
     C,
     X,
@@ -34,10 +39,10 @@ def swum(count, seed=1):
     """Measured bodies of a cell that moves as the model says, and the pieces of the field."""
     m, p, model = start()
     pieces = [(FRAME_S, *(FIELD if k < count // 2 else OTHER)) for k in range(count - 1)]
-    bodies = [oracle.body(m, model[SLOWEST])]
+    bodies = [oracle.body(m, model[SPEED_MIN])]
     for seconds, *field in pieces:
-        m = oracle.moved(m, 0 * p, seconds, field, model[SLOWEST])
-        bodies.append(oracle.body(m, model[SLOWEST]))
+        m = oracle.moved(m, 0 * p, seconds, field, model[SPEED_MIN])
+        bodies.append(oracle.body(m, model[SPEED_MIN]))
     noise = np.random.default_rng(seed).normal(0, 1, (count, 3)) * (0.5, 0.5, 0.03)
     return np.array(bodies) + noise, np.tile((0.5, 0.5, 0.03), (count, 1)), pieces
 
@@ -50,7 +55,7 @@ def reference(measured, deviation, pieces, mean, covariance, model):
     for k, values in enumerate(measured):
         if k:
             if k > 1 and pieces[k - 1][1:] != pieces[k - 2][1:]:
-                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SLOWEST]
+                change = pieces[k - 2][1:], pieces[k - 1][1:], model[SPEED_MIN]
                 f = oracle.slopes(lambda at, change=change: oracle.switched(at, *change), m)
                 m, p = oracle.switched(m, *change), f @ p @ f.T
             seconds, *field = pieces[k - 1]
@@ -59,11 +64,11 @@ def reference(measured, deviation, pieces, mean, covariance, model):
             continue
         m, p, likelihood, distance = oracle.correct(m, p, model, values, deviation[k])
         total += likelihood
-        odd = odd + 1 if distance > ODD_DISTANCE else 0
-        if odd == ODD_RUN:
+        odd = odd + 1 if distance > DISTANT_SQUARED else 0
+        if odd == DISTANT_COUNT:
             new = np.arange(RATE)
             p[new, new] += np.diagonal(covariance)[:RATE]
-            p[WAY, WAY] += covariance[0, 0]
+            p[PATH_LENGTH, PATH_LENGTH] += covariance[0, 0]
             odd = 0
     return total, m, p
 
@@ -72,7 +77,9 @@ def run(measured, deviation, pieces, means, covariance, models):
     first = np.maximum(np.arange(len(measured) + 1) - 1, 0)
     totals = np.empty(len(means))
     after = means.copy()
-    likelihoods(after, covariance, models, measured, deviation, np.array(pieces), first, totals)
+    log_likelihoods_of(
+        after, covariance, models, measured, deviation, np.array(pieces), first, totals
+    )
     return totals, after
 
 
@@ -104,7 +111,7 @@ def test_images_without_a_blob_count_only_by_their_time():
     assert after[0] == pytest.approx(last, rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.parametrize("outliers", [ODD_RUN - 1, ODD_RUN, ODD_RUN + 1])
+@pytest.mark.parametrize("outliers", [DISTANT_COUNT - 1, DISTANT_COUNT, DISTANT_COUNT + 1])
 def test_a_cell_that_is_far_off_in_three_images_is_searched_anew(outliers):
     measured, deviation, pieces = swum(16)
     measured[8 : 8 + outliers, :2] += 60.0
@@ -113,7 +120,7 @@ def test_a_cell_that_is_far_off_in_three_images_is_searched_anew(outliers):
     total, last, covariance_at_end = reference(measured, deviation, pieces, mean, covariance, model)
     assert totals[0] == pytest.approx(total, rel=1e-4)
     assert after[0, :2] == pytest.approx(last[:2], rel=1e-3)
-    states = np.empty((16, STATES))
+    states = np.empty((16, STATE_SIZE))
     bodies = np.empty((16, 3))
     m = mean.copy()
     first = np.maximum(np.arange(17) - 1, 0)
@@ -139,7 +146,7 @@ def test_a_cell_that_is_turned_around_on_the_way_is_smoothed_forwards_and_backwa
     mean, covariance, model = start()
     mean[HEADING] += np.pi
     mean[C] *= -1
-    states = np.empty((20, STATES))
+    states = np.empty((20, STATE_SIZE))
     bodies = np.empty((20, 3))
     first = np.maximum(np.arange(21) - 1, 0)
     m = mean.copy()

@@ -6,7 +6,7 @@ from tetractl_microscope.cells.identity_watch import IdentityWatch
 
 def see(watch, seconds, *probabilities):
     t_ns = round(1e9 * seconds)
-    return list(watch.see(t_ns, np.array(probabilities)))
+    return list(watch.update(t_ns, np.array(probabilities)))
 
 
 def test_a_meeting_is_said_once_and_ends_the_run_only_where_it_stays_unknown():

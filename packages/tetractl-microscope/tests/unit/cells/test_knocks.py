@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.cells.knocks import moved, shift_of
+from tetractl_microscope.cells.knocks import find_shift, shift_picture
 
 pytestmark = pytest.mark.slow
 
@@ -29,9 +29,9 @@ def test_a_far_knock_is_seen_under_uneven_light(by) -> None:
             dark[near] += 50 * np.clip(2 - far, 0, 1)
         return np.clip(light - dark + random.normal(0, 3, light.shape), 0, 255).astype(np.uint8)
 
-    shift = shift_of(picture(0, 0), picture(*by))
+    shift = find_shift(picture(0, 0), picture(*by))
     assert shift == pytest.approx(by, abs=2)
-    assert shift_of(picture(0, 0), picture(0, 0)) == (0.0, 0.0)
+    assert find_shift(picture(0, 0), picture(0, 0)) == (0.0, 0.0)
 
 
 def scene(side=256, seed=3, right=0, down=0, height=None):
@@ -49,9 +49,9 @@ def scene(side=256, seed=3, right=0, down=0, height=None):
 @pytest.mark.parametrize("by", [(5, 0), (-5, 0), (0, 9), (0, -9), (14, -22), (-30, 11)])
 def test_a_knock_in_any_direction_is_seen_and_undone(by):
     before, now = scene(), scene(right=by[0], down=by[1])
-    shift = shift_of(before, now)
+    shift = find_shift(before, now)
     assert shift == pytest.approx(by, abs=0.3)
-    undone = moved(now, (-shift[0], -shift[1]))
+    undone = shift_picture(now, (-shift[0], -shift[1]))
     inside = np.s_[40:-40, 40:-40]
     left = np.abs(undone[inside].astype(float) - before[inside]).mean()
     assert left < 1.5  # the noise of two pictures
@@ -62,34 +62,34 @@ def test_a_knock_is_seen_in_pictures_of_any_size_and_form(side, height):
     """Large pictures are made smaller first; the shift is in their own pixels."""
     before = scene(side, height=height)
     now = scene(side, height=height, right=12, down=-7)
-    assert shift_of(before, now) == pytest.approx((12, -7), abs=0.8)
+    assert find_shift(before, now) == pytest.approx((12, -7), abs=0.8)
 
 
 def test_what_is_no_knock_has_no_shift():
     before = scene()
-    assert shift_of(before, before) == (0.0, 0.0)
-    assert shift_of(before, scene(right=100)) == (0.0, 0.0)  # farther than a shift is looked for
+    assert find_shift(before, before) == (0.0, 0.0)
+    assert find_shift(before, scene(right=100)) == (0.0, 0.0)  # farther than a shift is looked for
     brighter = np.clip(before.astype(float) + 20, 0, 255).astype(np.uint8)
-    assert shift_of(before, brighter) == (0.0, 0.0)
+    assert find_shift(before, brighter) == (0.0, 0.0)
     swum = before.copy()
     swum[100:110, 60:90] = 90
-    assert shift_of(before, swum) == (0.0, 0.0)  # one body moved, the debris did not
+    assert find_shift(before, swum) == (0.0, 0.0)  # one body moved, the debris did not
 
 
 def test_a_picture_that_is_too_narrow_has_no_shift():
     narrow = scene()[:20]
-    assert shift_of(narrow, np.roll(narrow, 6, axis=1)) == (0.0, 0.0)
+    assert find_shift(narrow, np.roll(narrow, 6, axis=1)) == (0.0, 0.0)
     long = np.tile(scene()[:40], (1, 8))
-    assert shift_of(long, np.roll(long, 6, axis=1)) == (0.0, 0.0)  # narrow once it is small
+    assert find_shift(long, np.roll(long, 6, axis=1)) == (0.0, 0.0)  # narrow once it is small
 
 
 def test_content_is_moved_by_columns_and_rows_and_edges_are_continued():
     picture = np.zeros((20, 30), np.uint8)
     picture[5, 7] = 200
     picture[:, 0] = 50
-    assert moved(picture, (0.0, 0.0)) is picture
-    after = moved(picture, (3.0, -2.0))
+    assert shift_picture(picture, (0.0, 0.0)) is picture
+    after = shift_picture(picture, (3.0, -2.0))
     assert after[3, 10] == 200
     assert (after[:, :4] == 50).all()
-    half = moved(picture, (0.5, 0.0))
+    half = shift_picture(picture, (0.5, 0.0))
     assert half[5, 7] == half[5, 8] == 100

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from testkit.microscope.needs_opencv import cv2
-from tetractl_microscope.cells.identity_watch import SURE
+from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.tracks.field_file import no_field
 
@@ -35,7 +35,7 @@ def seen(middles):
         pictures.append(np.clip(noisy, 0, 255).astype(np.uint8))
     tracker = CellTracker(UM_PX, field_known=False)
     tracker.finder.learn(pictures[::4])
-    return [tracker.see(picture, k / HZ, no_field) for k, picture in enumerate(pictures)]
+    return [tracker.track_image(picture, k / HZ, no_field) for k, picture in enumerate(pictures)]
 
 
 def pixels(cell):
@@ -73,7 +73,7 @@ def test_two_cells_that_meet_are_both_followed_and_no_sure_number_changes_its_ce
             away = np.linalg.norm(middles[k] - pixels(cell), axis=1)
             if apart[k] and away.min() < HALF_LONG:
                 followed += 1
-                if cell.probability >= SURE:
+                if cell.probability >= KNOWN_PROBABILITY:
                     cells_of.setdefault(cell.identity, set()).add(int(away.argmin()))
     assert followed >= 0.9 * 2 * apart.sum()
     assert all(len(cells) == 1 for cells in cells_of.values())

@@ -9,11 +9,11 @@ from tetractl_microscope.cells.cell import BodySize
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import HEADING, SPEED, X, Y
-from tetractl_microscope.cells.meetings import FROM_BLOB
-from tetractl_microscope.cells.names import Names
+from tetractl_microscope.cells.meetings import SPLIT_REACH
+from tetractl_microscope.cells.names import CellIdentities
 from tetractl_microscope.cells.newcomers import EDGE_ENTRY_LENGTHS, HIDDEN_S, FreeBlob, Newcomers
-from tetractl_microscope.cells.picture_now import PictureNow
-from tetractl_microscope.cells.readings import PATH
+from tetractl_microscope.cells.picture_now import NewestImage
+from tetractl_microscope.cells.readings import PATH_BLOBS
 from tetractl_microscope.cells.specks import BLOBS_TO_JUDGE
 from tetractl_microscope.organisms import TETRAHYMENA
 
@@ -27,27 +27,27 @@ class Dish:
 
     def __init__(self):
         self.bank = HelixFilter(field_known=False)
-        self.names = Names(self.bank, LONG_UM)
+        self.names = CellIdentities(self.bank, LONG_UM)
         self.newcomers = Newcomers(self.bank, self.names, TETRAHYMENA)
         self.cells = []
         self.seconds = 10.0
 
     def cell(self, x, y):
         row = self.bank.add(x, y, 0.0, 300.0)
-        cell = CellTrack(100 + row, row, BodySize(LONG_UM, WIDE_UM), last=np.array([x, y]))
-        cell.identity = self.names.take_number()
+        cell = CellTrack(100 + row, row, BodySize(LONG_UM, WIDE_UM), last_um=np.array([x, y]))
+        cell.identity = self.names.new_identity()
         self.cells.append(cell)
         return cell
 
     def show(self, *blobs):
         """Show an image with blobs (x, y, speck)."""
         self.seconds += STEP_S
-        now = PictureNow(self.seconds, STEP_S, 2.0, height=800, width=1000)
+        now = NewestImage(self.seconds, STEP_S, 2.0, height=800, width=1000)
         shown = {id(speck) for _, _, speck in blobs}
         for speck in self.newcomers.specks:
             speck.missed_s = 0.0 if id(speck) in shown else speck.missed_s + STEP_S
         free = [FreeBlob(blob_at(x, y), speck) for x, y, speck in blobs]
-        new = self.newcomers.follow(free, self.cells, now)
+        new = self.newcomers.update(free, self.cells, now)
         self.cells += new
         return new
 
@@ -78,18 +78,18 @@ def test_a_speck_that_swims_becomes_a_cell_at_its_place_with_its_speed(heading):
     way = SPEED_UM_S * STEP_S * (BLOBS_TO_JUDGE - 2)
     x, y = 900 + way * math.cos(heading), 800 + way * math.sin(heading)
     (cell,) = dish.swim(speck, x, y, 1, heading)
-    state = dish.bank.mean[cell.row]
+    state = dish.bank.means[cell.row]
     way += SPEED_UM_S * STEP_S
     there = (900 + way * math.cos(heading), 800 + way * math.sin(heading))
     assert state[[X, Y]] == pytest.approx(there)
     assert state[HEADING] == pytest.approx(heading)
     assert state[SPEED] == pytest.approx(SPEED_UM_S)
-    assert cell.last == pytest.approx(there) and cell.start == pytest.approx(there)
+    assert cell.last_um == pytest.approx(there) and cell.start_um == pytest.approx(there)
     assert cell.size == pytest.approx((LONG_UM, WIDE_UM))
     assert cell.began_s == cell.size_seen_s == pytest.approx(dish.seconds)
     assert cell.number == speck.number and cell.identity == 1
     (born,) = dish.newcomers.born
-    assert (born.identity, born.track, born.divided) == (1, cell.number, None)
+    assert (born.identity, born.track, born.mother) == (1, cell.number, None)
     assert dish.newcomers.specks == []
     dish.show()
     assert dish.newcomers.born == []
@@ -99,9 +99,9 @@ def test_a_speck_that_rests_becomes_no_cell():
     dish = Dish()
     speck = dish.appear(900.0, 800.0)
     assert dish.swim(speck, 900.0, 800.0, 30, speed=0.0) == []
-    assert len(speck.path) == PATH
+    assert len(speck.path) == PATH_BLOBS
     assert speck.path[-1].seconds == pytest.approx(dish.seconds)
-    assert dish.bank.used.sum() == 0
+    assert dish.bank.is_used.sum() == 0
 
 
 def test_each_object_that_was_not_seen_before_is_a_speck_of_its_own():
@@ -111,8 +111,8 @@ def test_each_object_that_was_not_seen_before_is_a_speck_of_its_own():
     assert (first.number, second.number) == (1, 2)
     dish.show((300.0, 300.0, first), (900.0, 300.0, None))
     assert [speck.number for speck in dish.newcomers.specks] == [1, 2, 3]
-    now = PictureNow(dish.seconds, STEP_S, 2.0, 800, 1000)
-    assert dish.newcomers.in_view(now) == [(300.0, 300.0), (700.0, 300.0), (900.0, 300.0)]
+    now = NewestImage(dish.seconds, STEP_S, 2.0, 800, 1000)
+    assert dish.newcomers.positions_in_view(now) == [(300.0, 300.0), (700.0, 300.0), (900.0, 300.0)]
 
 
 @pytest.mark.parametrize(("share", "is_near"), [(0.95, True), (1.05, False)])
@@ -120,7 +120,7 @@ def test_a_speck_is_near_the_nearest_cell_within_a_length_and_a_half(share, is_n
     dish = Dish()
     dish.cell(1500.0, 400.0)
     cell = dish.cell(500.0, 500.0)
-    speck = dish.appear(500.0, 500.0 + share * FROM_BLOB * LONG_UM)
+    speck = dish.appear(500.0, 500.0 + share * SPLIT_REACH * LONG_UM)
     assert speck.first_near is (cell if is_near else None)
     assert dish.newcomers.cells_awaiting_specks() == ([cell] if is_near else [])
 
@@ -145,7 +145,7 @@ def test_a_cell_from_another_s_blob_has_divided_unless_it_may_have_entered(from_
     speck = dish.appear(x, 800.0)
     (cell,) = dish.swim(speck, x, 800.0, BLOBS_TO_JUDGE - 1)
     (born,) = dish.newcomers.born
-    assert born.divided == (mother.identity if divided else None)
+    assert born.mother == (mother.identity if divided else None)
     assert (mother.certainty < 1.0) is divided
     assert cell.identity != mother.identity
 
@@ -158,7 +158,7 @@ def test_a_cell_whose_mother_is_gone_has_not_divided():
     dish.cells.remove(mother)
     way = SPEED_UM_S * STEP_S * (BLOBS_TO_JUDGE - 2)
     dish.swim(speck, 800.0 + way, 800.0, 1)
-    assert dish.newcomers.born[0].divided is None and mother.certainty == 1.0
+    assert dish.newcomers.born[0].mother is None and mother.certainty == 1.0
 
 
 def hidden(dish, seconds):
@@ -169,15 +169,15 @@ def hidden(dish, seconds):
 def test_a_speck_of_few_images_is_dropped_soon_and_a_known_one_after_3_s():
     dish = Dish()
     known = dish.appear(300.0, 300.0)
-    dish.swim(known, 300.0, 300.0, PATH, speed=0.0)
+    dish.swim(known, 300.0, 300.0, PATH_BLOBS, speed=0.0)
     new = dish.appear(700.0, 300.0)
     dish.show((300.0, 300.0, known), (700.0, 300.0, new))
     hidden(dish, 2 * STEP_S)
     assert dish.newcomers.specks == [known, new]
     hidden(dish, HIDDEN_S - 4 * STEP_S)
     assert dish.newcomers.specks == [known]
-    now = PictureNow(dish.seconds, STEP_S, 2.0, 800, 1000)
-    assert dish.newcomers.in_view(now) == []
+    now = NewestImage(dish.seconds, STEP_S, 2.0, 800, 1000)
+    assert dish.newcomers.positions_in_view(now) == []
     hidden(dish, 5 * STEP_S)
     assert dish.newcomers.specks == []
 
@@ -185,7 +185,7 @@ def test_a_speck_of_few_images_is_dropped_soon_and_a_known_one_after_3_s():
 def test_a_speck_that_was_hidden_begins_a_new_path():
     dish = Dish()
     speck = dish.appear(300.0, 300.0)
-    dish.swim(speck, 300.0, 300.0, PATH, speed=0.0)
+    dish.swim(speck, 300.0, 300.0, PATH_BLOBS, speed=0.0)
     hidden(dish, 1.0)
     assert dish.newcomers.specks == [speck]
     dish.show((300.0, 300.0, speck))
@@ -198,7 +198,7 @@ def test_a_speck_that_was_hidden_begins_a_new_path():
 def test_specks_move_with_the_content_of_the_image():
     dish = Dish()
     speck = dish.appear(300.0, 200.0)
-    dish.newcomers.shift(5.0, -7.0)
+    dish.newcomers.move_by(5.0, -7.0)
     assert speck.path[-1][1:3] == (305.0, 193.0)
 
 
@@ -206,4 +206,4 @@ def test_specks_move_with_the_content_of_the_image():
 def test_a_blob_that_is_cut_off_has_no_size_in_a_path(cut):
     entry = FreeBlob(blob_at(3.0, 4.0, cut), None).path_entry(1.5)
     assert entry[:4] == (1.5, 3.0, 4.0, 0.2)
-    assert math.isnan(entry.long) == math.isnan(entry.wide) == cut
+    assert math.isnan(entry.length) == math.isnan(entry.width) == cut

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tetractl_microscope.cells.picture_now import BRIEF_S, MISSING, PictureNow
+from tetractl_microscope.cells.picture_now import GAP_MIN_S, GAP_PERIODS, NewestImage
 
-NOW = PictureNow(seconds=3.0, passed_s=0.2, um_px=2.5, height=80, width=120)
+NOW = NewestImage(seconds=3.0, since_previous_s=0.2, um_px=2.5, height=80, width=120)
 columns = st.floats(0, 119)
 rows = st.floats(0, 79)
 
 
 def blob(column, row, axis=0.0):
     pixels = np.array([[column, row], [column + 1, row + 2]])
-    return SimpleNamespace(x=column, y=row, axis=axis, long=10.0, wide=4.0, pixels=pixels)
+    return SimpleNamespace(x=column, y=row, axis=axis, length=10.0, width=4.0, pixels=pixels)
 
 
 @given(columns, rows, st.floats(-1.5, 1.5))
@@ -39,9 +39,9 @@ def test_the_distance_to_the_edge_is_that_to_the_nearest_of_four(column, row):
     x, y = (column + 0.5) * 2.5, (80 - 0.5 - row) * 2.5
     left, right = column + 0.5, 120 - 0.5 - column
     above, below = row + 0.5, 80 - 0.5 - row
-    assert NOW.to_edge(x, y) == pytest.approx(2.5 * min(left, right, above, below))
+    assert NOW.edge_distance_um(x, y) == pytest.approx(2.5 * min(left, right, above, below))
 
 
-@pytest.mark.parametrize(("passed_s", "brief_s"), [(0.01, BRIEF_S), (0.2, MISSING * 0.2)])
+@pytest.mark.parametrize(("passed_s", "brief_s"), [(0.01, GAP_MIN_S), (0.2, GAP_PERIODS * 0.2)])
 def test_one_missing_picture_says_nothing(passed_s, brief_s):
-    assert PictureNow(1.0, passed_s, 1.0, 10, 10).brief_s == brief_s
+    assert NewestImage(1.0, passed_s, 1.0, 10, 10).short_gap_s == brief_s

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
-from tetractl_microscope.cells.kernels.helix_steps import STATES
+from tetractl_microscope.cells.kernels.helix_steps import STATE_SIZE
 from tetractl_microscope.pictures.feed import Picture
 
 from tetractl.core.clock import SECOND, VirtualClock
@@ -35,7 +35,7 @@ PLACES_UM = {1: (100.0, 100.0), 2: (900.0, 900.0), 3: (500.0, 200.0)}
 
 
 def cell(number, x_um, y_um):
-    still = np.zeros(STATES)
+    still = np.zeros(STATE_SIZE)
     return SeenCell(number, number, x_um, y_um, 0.0, 0.0, mean=still, sd=still)
 
 
@@ -68,19 +68,19 @@ class Tracker:
     """
 
     def __init__(self):
-        light = Light(gain=1.0, noise=2.0, contrast=None, changed=0.0, lost=False)
+        light = Light(gain=1.0, noise=2.0, contrast=None, changed_fraction=0.0, lost=False)
         self.finder = SimpleNamespace(background=np.zeros((64, 64), np.uint8), light=light)
         self.cells = Interrupted(cell(number, *place) for number, place in PLACES_UM.items())
         self.mothers = ()
         self.when_born_asked = lambda: None
 
-    def see(self, picture, seconds, field):
+    def track_image(self, picture, seconds, field):
         return self.cells
 
     @property
     def born(self):
         self.when_born_asked()
-        return [SimpleNamespace(divided=mother) for mother in self.mothers]
+        return [SimpleNamespace(mother=mother) for mother in self.mothers]
 
 
 @pytest.fixture

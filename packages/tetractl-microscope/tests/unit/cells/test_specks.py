@@ -19,7 +19,7 @@ from tetractl_microscope.cells.specks import (
     is_swimming,
     median_size,
 )
-from tetractl_microscope.organisms import OUTLINE, TETRAHYMENA
+from tetractl_microscope.organisms import OUTLINE_FACTOR, TETRAHYMENA
 
 LONG_UM, WIDE_UM = TETRAHYMENA.body_um
 FRAME_S = 0.05
@@ -63,11 +63,11 @@ def test_a_swimmer_moves_by_a_part_of_its_length_and_faster_than_one_that_rests(
 @pytest.mark.parametrize(
     ("long", "wide", "is_cell"),
     [
-        (TETRAHYMENA.long_um[1] * OUTLINE * 0.99, WIDE_UM, True),
-        (TETRAHYMENA.long_um[1] * OUTLINE * 1.01, WIDE_UM, False),
-        (TETRAHYMENA.long_um[0] / OUTLINE * 0.99, WIDE_UM, False),
-        (LONG_UM, TETRAHYMENA.wide_um[1] * OUTLINE * 1.01, False),
-        (LONG_UM, TETRAHYMENA.wide_um[0] / OUTLINE * 0.99, False),
+        (TETRAHYMENA.long_um[1] * OUTLINE_FACTOR * 0.99, WIDE_UM, True),
+        (TETRAHYMENA.long_um[1] * OUTLINE_FACTOR * 1.01, WIDE_UM, False),
+        (TETRAHYMENA.long_um[0] / OUTLINE_FACTOR * 0.99, WIDE_UM, False),
+        (LONG_UM, TETRAHYMENA.wide_um[1] * OUTLINE_FACTOR * 1.01, False),
+        (LONG_UM, TETRAHYMENA.wide_um[0] / OUTLINE_FACTOR * 0.99, False),
     ],
 )
 def test_an_object_of_another_size_is_no_cell(long, wide, is_cell):
@@ -135,7 +135,7 @@ def test_a_speck_that_is_new_or_was_not_seen_for_a_while_is_expected_where_it_wa
 def test_a_path_is_shifted_with_the_camera():
     speck = Speck(1, path(300, 3))
     before = np.array([(blob.x, blob.y) for blob in speck.path])
-    speck.shift(5, -7)
+    speck.move_by(5, -7)
     after = np.array([(blob.x, blob.y) for blob in speck.path])
     assert after == pytest.approx(before + np.array([5, -7]))
 

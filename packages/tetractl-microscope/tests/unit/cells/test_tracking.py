@@ -50,13 +50,13 @@ def test_a_knock_moves_all_places_of_a_track():
     path = [PathBlob(1.0, 10.0, 20.0, 0.5, 50.0, 25.0)]
     moved_path = [PathBlob(1.0, 13.0, 16.0, 0.5, 50.0, 25.0)]
     start = np.array((8.0, 20.0))
-    cell = CellTrack(1, 0, SIZE, last=np.array([10.0, 20.0]), path=path, start=start)
-    cell.shift(3.0, -4.0)
+    cell = CellTrack(1, 0, SIZE, last_um=np.array([10.0, 20.0]), path=path, start_um=start)
+    cell.move_by(3.0, -4.0)
     assert cell.path == moved_path
-    assert cell.start.tolist() == [11.0, 16.0]
-    assert cell.last.tolist() == [13.0, 16.0]
+    assert cell.start_um.tolist() == [11.0, 16.0]
+    assert cell.last_um.tolist() == [13.0, 16.0]
     speck = Speck(2, path)
-    speck.shift(3.0, -4.0)
+    speck.move_by(3.0, -4.0)
     assert speck.path == moved_path
 
 
@@ -113,8 +113,8 @@ def test_absurd_pictures_have_few_blobs_and_no_cells(name):
     tracker = CellTracker(2.3, field_known=False)
     tracker.finder.learn(pictures)
     for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
-        tracked = tracker.see(picture, k / 30, no_field)
-        assert len(tracker.finder.find(absurd)) <= BLOBS_MAX
+        tracked = tracker.track_image(picture, k / 30, no_field)
+        assert len(tracker.finder.find_blobs(absurd)) <= BLOBS_MAX
         assert all(np.isfinite((c.x, c.y, c.heading)).all() for c in tracked)
         if 20 < k < 30:
             assert tracked == []
@@ -125,5 +125,5 @@ def test_light_that_changes_makes_no_blobs():
     finder = BlobFinder(20, 2000)
     finder.learn([flat] * 3)
     for level in (60, 100, 150, 200):
-        assert finder.find(np.full((128, 128), level, np.uint8)) == []
+        assert finder.find_blobs(np.full((128, 128), level, np.uint8)) == []
         assert finder.light.gain == pytest.approx(level / 120, rel=0.02)

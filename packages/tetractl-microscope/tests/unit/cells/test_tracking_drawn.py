@@ -44,7 +44,9 @@ class Film:
 
     def show(self, *middles, shift=(0, 0)):
         self.count += 1
-        return self.tracker.see(self.picture(*middles, shift=shift), self.count / HZ, no_field)
+        return self.tracker.track_image(
+            self.picture(*middles, shift=shift), self.count / HZ, no_field
+        )
 
     def swim(self, x, y, images, step_px=STEP_PX):
         """Show a cell that swims on from x, y, and return what was tracked in each image."""
@@ -98,7 +100,7 @@ def test_a_cell_that_is_hidden_for_longer_is_another_one_when_it_comes_back():
     film = Film()
     film.swim(60.0, 100.0, 25)
     film.hide(math.ceil(LOST_S * HZ) + 2)
-    assert len(film.tracker._cells) == 0 and film.tracker.bank.used.sum() == 0
+    assert len(film.tracker._cells) == 0 and film.tracker.cell_filter.is_used.sum() == 0
     shown = film.swim(60.0 + STEP_PX * 44, 100.0, 12)
     assert [cell.identity for cell in shown[-1]] == [2]
 

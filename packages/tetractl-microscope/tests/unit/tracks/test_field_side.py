@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.handedness import handedness
+from tetractl_microscope.handedness import find_handedness
 from tetractl_microscope.sent_directions import (
     SHORT_DELAYS_S,
     check_directions,
@@ -113,5 +113,5 @@ def test_a_field_that_never_changes_shows_no_side(tmp_path):
     (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,1\n")
     field = read_field(tmp_path / "field.csv")
     for rates in ((1.0, 2.0, 2.5), (3.0, 4.0, 5.0), (3.3, 0.7, 5.1, 4.4)):
-        turning = handedness(turned_by(field, rates), field.at)
+        turning = find_handedness(turned_by(field, rates), field.at)
         assert turning is not None and not turning.mirrored

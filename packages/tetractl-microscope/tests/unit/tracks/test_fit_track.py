@@ -9,7 +9,7 @@ from scipy.stats import norm
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR
 from tetractl_microscope.organisms import named
-from tetractl_microscope.tracks.fit_track import RATE_MIN, CellPath, fit_tracks
+from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath, fit_tracks
 
 TETRAHYMENA = named("tetrahymena")
 HZ = 25.0
@@ -185,8 +185,8 @@ def test_rare_images_have_a_length_and_no_speed_along_a_helix():
     (cell,) = fitted(rare, hz=HZ / 5)
     assert cell.speed_um_s is None and cell.a_rad_s is None
     assert cell.duration_s == pytest.approx(len(rare.times) * 5 / HZ)
-    assert fitted(PATH, hz=RATE_MIN - 0.01)[0].speed_um_s is None
-    assert fitted(PATH, hz=RATE_MIN + 0.01)[0].speed_um_s is not None
+    assert fitted(PATH, hz=IMAGE_RATE_MIN_HZ - 0.01)[0].speed_um_s is None
+    assert fitted(PATH, hz=IMAGE_RATE_MIN_HZ + 0.01)[0].speed_um_s is not None
 
 
 def test_cells_of_a_table_are_fitted_each_for_itself():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.organisms import named
-from tetractl_microscope.tracks.fit_track import RATE_MIN, CellPath
+from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.swimming_tracks import (
     organism_by_speed,
@@ -62,7 +62,11 @@ def test_beads_are_named_and_one_in_three_may_swim():
 
 @pytest.mark.parametrize(
     ("hz", "with_field", "refused"),
-    [(RATE_MIN + 0.1, True, False), (RATE_MIN - 0.1, True, True), (RATE_MIN - 0.1, False, False)],
+    [
+        (IMAGE_RATE_MIN_HZ + 0.1, True, False),
+        (IMAGE_RATE_MIN_HZ - 0.1, True, True),
+        (IMAGE_RATE_MIN_HZ - 0.1, False, False),
+    ],
 )
 def test_images_that_are_too_rare_are_refused_only_with_a_field(hz, with_field, refused):
     tracks = [swimmer(1, 20.0, hz=hz)]

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tetractl_emulator.lab_rehearse import observed
+from tetractl_emulator.lab_rehearse import observe_day
 from tetractl_emulator.rehearsal.day import run_day
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
@@ -90,10 +90,10 @@ def row(what: str, faults: Sequence[Mapping[str, Any]], seed: int) -> tuple[str,
     experiment = on_plant(load_spec(SPEC, sets), "emulated").experiment
     with tempfile.TemporaryDirectory() as scratch:
         day = run_day(SPEC, sets, DayPlan(seed, {}, drawn), Path(scratch))
-        truth, broken = observed(day, experiment, experiment.plant)  # type: ignore[arg-type]
+        truth, broken = observe_day(day, experiment, experiment.plant)  # type: ignore[arg-type]
         speeds = truth.wheel_speed_mm_s[-1]
         left = np.flatnonzero(speeds > 1.5)
-        after_s = truth.times_s > truth.ended_s
+        after_s = truth.times_s > truth.driving_ended_s
         at_most = truth.wheel_speed_mm_s[after_s].max(initial=0.0)
         last = [line for line in day.output.splitlines() if line.startswith("error:")]
     broken = [it for it in broken if not it.finding.startswith("left behind")]  # by the first plays

@@ -26,7 +26,7 @@ PARTS = ("tetractl", f"{EMULATOR}/tetractl_emulator", "firmware")
 
 def play(folder, args):
     """Run test days with the sources that come first in PYTHONPATH."""
-    from tetractl_emulator.lab_rehearse import rehearsed
+    from tetractl_emulator.lab_rehearse import rehearse_day
 
     from tetractl.control.methods.build import warm_up
     from tetractl.spec.load import load_spec
@@ -36,7 +36,7 @@ def play(folder, args):
     for day in args.days:
         result_file = folder / f"{day}.json"
         if not result_file.exists():
-            result_file.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, day)))
+            result_file.write_text(json.dumps(rehearse_day(SPEC, args.set, args.seed, day)))
         if found(folder, day):
             return
 

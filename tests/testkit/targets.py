@@ -34,7 +34,7 @@ LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
 
 
-def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
+def encode_at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
     """What an XBee module answers to a request; `value` is None for an unknown parameter."""
     status = UNKNOWN if value is None else xbee.STATUS_OK
     return xbee.RESPONSE.pack(xbee.AT_RESPONSE, frame_id, command, status) + (value or b"")
@@ -170,7 +170,7 @@ def serial_bytes() -> list[bytes]:
     reply = packed_reply(Reply(1, 7, Status(0), 5100, 20, 3))
     received = [
         b"\x81\x12\x34\x5e\1" + reply,
-        at_response(1, b"BD", b"\x06"),
+        encode_at_response(1, b"BD", b"\x06"),
         b"\x89\1\0",
         xbee.BROADCAST + command,
     ]

@@ -51,7 +51,7 @@ def check_lab(lab: LabSection, setup: Setup) -> None:
     ports = emulation.wires.ports
     unplug = None  # a robot that is gone from a network is not noticed
     if not all(is_network(radio.port.name) for radio in actuator.radios):
-        unplug = partial(actuator.plugged, False)
+        unplug = partial(actuator.set_plugged, False)
     try:
         check_camera(lab.camera, setup, SeenRobots(clock, poses, hide, ports))
         check_actuator(lab.actuator, setup, MovedRobots(clock, moves, unplug, ports))

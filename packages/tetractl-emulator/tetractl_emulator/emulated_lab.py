@@ -21,7 +21,7 @@ from tetractl_emulator.faults import Fault, Injector
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PluggedDevices
 from tetractl_emulator.process import PROCESS_FAULTS, Process
-from tetractl_emulator.script import Script, Sides
+from tetractl_emulator.script import DeviceClasses, Script
 from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl_emulator.wires import Wires
 
@@ -80,7 +80,7 @@ class EmulatedLab:
         self.wires = wires or Wires()
         self._ruling = ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires, acting)
-        sides = Sides.of_types(lab.camera.type, lab.actuator.type)
+        sides = DeviceClasses.of_types(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(
             stage, emulated.actuator or sides.actuator.Settings()
@@ -130,7 +130,7 @@ class EmulatedLab:
         self._tick()
         self.note("ready", **facts)
         self._report("ready", facts)
-        self.injector.happened("start")
+        self.injector.note_event("start")
 
     def run(self) -> None:
         """Run the emulated devices in real time until `loop.end()` is called."""
@@ -148,7 +148,7 @@ class EmulatedLab:
     def port(self) -> str:
         """The name of the actuator's first port. "" if the actuator has no port."""
         actuator = self.actuator
-        return actuator.wired[0].port.name if isinstance(actuator, PluggedDevices) else ""
+        return actuator.serial_devices[0].port.name if isinstance(actuator, PluggedDevices) else ""
 
     def ruled(self, state: str, reason: str) -> None:
         """Record the state of the program's guard and its reason, if they have changed."""
@@ -197,7 +197,7 @@ class EmulatedLab:
         """Record and report a new client of the camera."""
         self.note("client", address=address)
         self._report("client", {"address": address})
-        self.injector.happened("client")
+        self.injector.note_event("client")
 
     def _fault(self, phase: str, fault: Fault) -> None:
         """Record and report that a fault begins ("start") or ends ("end").
@@ -233,9 +233,9 @@ class EmulatedLab:
                 self._at_rest_since_ns = now_ns
             self.note("run")
             self._report("run", {})
-            self.injector.happened("run")
+            self.injector.note_event("run")
         elif self._has_run and not driven:
-            self.injector.happened("stop")
+            self.injector.note_event("stop")
 
     def _note_motion(self, now_ns: int) -> None:
         """Record each robot that starts or stops moving.
@@ -267,7 +267,7 @@ class EmulatedLab:
         if now_ns - self._at_rest_since_ns < round(wait_s * SECOND):
             return
         self._has_run = False
-        self.injector.acting.carried = True
+        self.injector.acting.robots_are_carried = True
         self.actuator.switch(False)
         self.timeline.at(now_ns + CARRIED_NS, self._put_down)
 
@@ -275,7 +275,7 @@ class EmulatedLab:
         """Put the carried robots on their starts, and switch them on."""
         self._put_on_starts()
         self.actuator.switch(True)
-        self.injector.acting.carried = False
+        self.injector.acting.robots_are_carried = False
         self.note("placed")
         self._report("placed", {})
 
@@ -284,7 +284,7 @@ class EmulatedLab:
 
         If trials choose their cells, no cell is moved.
         """
-        if self._options.chosen:
+        if self._options.trials_choose_robots:
             return
         mm = self._setup.metres * 1000
         starts = self._setup.starts

@@ -57,9 +57,9 @@ class UdpPlug(PseudoPort):
         self._socket = None
         self.fd = -1
 
-    def stall(self, stalled: bool) -> None:
-        """Drop all received datagrams if `stalled`, or accept them again."""
-        self._stalled = stalled
+    def set_stalled(self, is_stalled: bool) -> None:
+        """Drop all received datagrams if `is_stalled`, or accept datagrams again."""
+        self._stalled = is_stalled
 
     def baud(self) -> None:
         """Return None: a network has no baud rate."""

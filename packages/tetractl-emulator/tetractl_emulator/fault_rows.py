@@ -31,7 +31,8 @@ CELL_REASONS = r"respond to the field|divided, or has parted|been uncertain whic
 CLOCK_REASONS = r"server's clock|after reception|before reception"
 RADIO_REASONS = r"radio|\bport\b|does not answer|no XBee module answers|battery"
 DRIVER_REASONS = r"current driver|\bport\b"
-NO_REASON = r"$."
+NO_REASON = r"$."  # matches nothing
+# reasons by the kind of fault, each of which the guard may notice in several ways
 MOVED_REASONS = f"{MOTION_REASONS}|{PLACE_REASONS}|{CAMERA_REASONS}"
 LATE_REASONS = f"{CAMERA_REASONS}|{PLACE_REASONS}|{CLOCK_REASONS}|{MOTION_REASONS}"
 LINK_REASONS = f"{RADIO_REASONS}|{MOVED_REASONS}"
@@ -46,7 +47,7 @@ DEFAULT_COMMAND_HZ = 40.0
 
 
 @dataclass(frozen=True, slots=True)
-class Draw:
+class RandomChoices:
     """The random choices for one fault, from which its fields are sampled.
 
     Attributes:
@@ -62,31 +63,32 @@ class Draw:
     scale: float = 1.0
 
 
-DrawValue = Callable[[Draw], Any]
+FieldSampler = Callable[[RandomChoices], Any]
+"""Function that samples the value of one field of a fault."""
 
 
-def value_between(low: float, high: float) -> DrawValue:
+def value_between(low: float, high: float) -> FieldSampler:
     """Create a function that samples a value from `low` to `high`, to four significant digits.
 
     The value changes exponentially with the fault's strength, from `low` at 0 to `high` at 1.
     `low` can be the larger one.
     """
-    return lambda draw: float(f"{low * (high / low) ** draw.strength:.4g}")
+    return lambda choices: float(f"{low * (high / low) ** choices.strength:.4g}")
 
 
-def whole_number(low: float, high: float) -> DrawValue:
+def whole_number(low: float, high: float) -> FieldSampler:
     """Create a function that samples like `value_between`, rounded to the nearest whole number."""
     sample_value = value_between(low, high)
-    return lambda draw: round(sample_value(draw))
+    return lambda choices: round(sample_value(choices))
 
 
-def fraction_between(low: float, high: float) -> DrawValue:
+def fraction_between(low: float, high: float) -> FieldSampler:
     """Create a function that samples a fraction like `value_between`, but at most 1."""
     sample_value = value_between(low, high)
-    return lambda draw: min(1.0, sample_value(draw))
+    return lambda choices: min(1.0, sample_value(choices))
 
 
-def one_minus(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
+def one_minus(low: float, high: float, remaining_min: float = 0.0) -> FieldSampler:
     """Create a function that samples 1 minus a random loss.
 
     Args:
@@ -95,55 +97,61 @@ def one_minus(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
         remaining_min: Minimum of the result.
     """
     sample_loss = value_between(low, high)
-    return lambda draw: max(remaining_min, round(1 - sample_loss(draw), 4))
+    return lambda choices: max(remaining_min, round(1 - sample_loss(choices), 4))
 
 
-def signed_value(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+def signed_value(low: float, high: float, per_frame: float = 1.0) -> FieldSampler:
     """Create a function that samples like `value_between`, with a random sign.
 
     Args:
         low: Minimum absolute value.
         high: Maximum absolute value.
-        a_frame: Factor for the result, for example to convert a speed to a change per frame.
+        per_frame: Factor for the result, for example to convert a speed to a change per frame.
     """
     sample_size = value_between(low, high)
-    return lambda draw: round(draw.random.choice((-1, 1)) * sample_size(draw) * a_frame, 7)
+    return lambda choices: round(
+        choices.random.choice((-1, 1)) * sample_size(choices) * per_frame, 7
+    )
 
 
-def factor_near_one(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+def factor_near_one(low: float, high: float, per_frame: float = 1.0) -> FieldSampler:
     """Create a function that samples a factor near 1.
 
     Args:
         low: Minimum difference from 1.
         high: Maximum difference from 1.
-        a_frame: Factor for the difference, for example to convert it to a change per frame.
+        per_frame: Factor for the difference, for example to convert it to a change per frame.
     """
-    sample_change = signed_value(low, high, a_frame)
-    return lambda draw: 1 + sample_change(draw)
+    sample_change = signed_value(low, high, per_frame)
+    return lambda choices: 1 + sample_change(choices)
 
 
-def random_vector(low: float, high: float) -> DrawValue:
+def random_vector(low: float, high: float) -> FieldSampler:
     """Create a function that samples a vector [x, y] in a random direction.
 
     Its length is sampled like `value_between`.
     """
     sample_length = value_between(low, high)
-    return lambda draw: _to_vector(sample_length(draw), draw.random.uniform(-math.pi, math.pi))
+    return lambda choices: _to_vector(
+        sample_length(choices), choices.random.uniform(-math.pi, math.pi)
+    )
 
 
-def scaled_vector(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+def scaled_vector(low: float, high: float, per_frame: float = 1.0) -> FieldSampler:
     """Create a function that samples a vector in a random direction, scaled to the robots' speed.
 
     Args:
         low: Minimum length, for a robot with 200 mm/s.
         high: Maximum length, for a robot with 200 mm/s.
-        a_frame: Factor for the result, for example to convert a speed to a change per frame.
+        per_frame: Factor for the result, for example to convert a speed to a change per frame.
     """
     sample_vector = random_vector(low, high)
-    return lambda draw: [round(value * draw.scale * a_frame, 6) for value in sample_vector(draw)]
+    return lambda choices: [
+        round(value * choices.scale * per_frame, 6) for value in sample_vector(choices)
+    ]
 
 
-def along_line(low: float, high: float, angle: float) -> DrawValue:
+def along_line(low: float, high: float, angle: float) -> FieldSampler:
     """Create a function that samples a displacement per frame, forwards or backwards along a line.
 
     Args:
@@ -152,35 +160,35 @@ def along_line(low: float, high: float, angle: float) -> DrawValue:
         angle: Direction of the line [rad].
     """
     sample_speed = signed_value(low, high)
-    return lambda draw: _to_vector(sample_speed(draw) * draw.scale * FRAME_S, angle)
+    return lambda choices: _to_vector(sample_speed(choices) * choices.scale * FRAME_S, angle)
 
 
-def one_of(*values: Any) -> DrawValue:
+def one_of(*values: Any) -> FieldSampler:
     """Create a function that samples one of the values with equal probability."""
-    return lambda draw: draw.random.choice(values)
+    return lambda choices: choices.random.choice(values)
 
 
-def pair(sample_value: DrawValue) -> DrawValue:
+def two_whole_numbers(sample_value: FieldSampler) -> FieldSampler:
     """Create a function that samples two whole numbers, and returns them as a list.
 
     Args:
         sample_value: Samples each of the numbers, which are then rounded.
     """
-    return lambda draw: [round(sample_value(draw)), round(sample_value(draw))]
+    return lambda choices: [round(sample_value(choices)), round(sample_value(choices))]
 
 
-def lost_fraction(draw: Draw) -> float:
+def lost_fraction(choices: RandomChoices) -> float:
     """Sample a fraction of lost messages, from 5 to 98 %, or 1 for a strong fault.
 
     Fractions near 98 % are as frequent as fractions near 5 %.
     """
-    fraction = 1.0 / (1.0 + math.exp(3.0 - 7.0 * draw.strength / ENDLESS_STRENGTH))
-    return round(fraction, 4) if draw.strength < ENDLESS_STRENGTH else 1.0
+    fraction = 1.0 / (1.0 + math.exp(3.0 - 7.0 * choices.strength / ENDLESS_STRENGTH))
+    return round(fraction, 4) if choices.strength < ENDLESS_STRENGTH else 1.0
 
 
-def first_robot(draw: Draw) -> str:
+def first_robot(choices: RandomChoices) -> str:
     """Return the name of the robot that has the fault: the first of the names in random order."""
-    return draw.names[0]
+    return choices.names[0]
 
 
 NAME_FUNCTIONS = {"robot": first_robot, "cell": first_robot, "other": lambda d: d.names[1]}
@@ -189,6 +197,7 @@ NAME_FUNCTIONS = {"robot": first_robot, "cell": first_robot, "other": lambda d: 
 A kind whose field of this name is required gets the function in each of its variants.
 """
 WHEEL_SIDES = one_of("left", "right", "both")
+"""Samples the field `wheel` of a fault."""
 
 
 def _to_vector(length: float, angle: float) -> list[float]:
@@ -203,28 +212,29 @@ class FaultRow:
     """A variant of a fault in randomised test runs.
 
     Attributes:
-        name: Its name.
-        right: Pattern of the guard's reasons that name the fault correctly.
+        name: Name of the variant.
+        reason_pattern: Regular expression that matches the guard's reasons which name the fault
+            correctly.
         fields: Fields of the fault in a script: values, or functions that sample them.
         at_once: Whether the fault has no duration.
-        weight: Relative frequency.
-        start: Fraction of the runs in which it begins together with the emulation.
-        stop: Fraction of the runs in which it begins when the robots stop.
-        fault: Name of the kind of fault.
+        weight: Relative frequency of the variant.
+        start_fraction: Fraction of the runs in which the fault begins with the emulation.
+        stop_fraction: Fraction of the runs in which the fault begins when the robots stop.
+        fault: Name of the kind of fault. `fault_kind` sets it.
     """
 
     name: str
-    right: str
+    reason_pattern: str
     fields: Mapping[str, Any] = field(default_factory=dict)
     at_once: bool = False
     weight: float = 1.0
-    start: float = 0.1
-    stop: float = 0.2
+    start_fraction: float = 0.1
+    stop_fraction: float = 0.2
     fault: str = ""
 
 
-def scale_of(lab: LabSection, setup: Setup) -> float:
-    """Compute the factor for lengths that are given for robots with 200 mm/s.
+def length_scale(lab: LabSection, setup: Setup) -> float:
+    """Compute the factor by which to scale lengths that are given for robots with 200 mm/s.
 
     For cells, it is the maximum speed divided by 200 mm/s. For robots on wheels, it is 1.
     """

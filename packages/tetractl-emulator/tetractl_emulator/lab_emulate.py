@@ -9,13 +9,13 @@ from tetractl.cli.options import Sets, Spec, option, switch, tcp_port
 from tetractl.core.errors import Exit
 from tetractl.run.interrupt import STOP_SIGNALS
 
-ROBOTS = {
+TEXT_BY_ROBOT_EVENT = {
     "run": "first command of a run",
     "moving": "moving",
     "rest": "standing still",
     "placed": "put back on their starts",
 }
-"""The text that is printed for each event of the robots."""
+"""The text to print for each event of the robots."""
 
 
 def emulate(
@@ -72,28 +72,35 @@ def emulate(
 
     from tetractl.spec.plants import lab_of
     from tetractl_emulator.emulated_lab import EmulatedLab
-    from tetractl_emulator.script import NOTHING, load_script
+    from tetractl_emulator.script import NO_FAULTS, load_script
     from tetractl_emulator.sides import Options
 
     loaded = ui.load(spec, sets)
     lab = lab_of(loaded.experiment, loaded.name)
-    play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
-    chosen = loaded.experiment.open
+    fault_script = load_script(script, lab.camera.type, lab.actuator.type) if script else NO_FAULTS
+    trials_choose_robots = loaded.experiment.open
     options = Options(
-        address, command_port, data_port, port_link, record, replace_after, seed, chosen
+        address,
+        command_port,
+        data_port,
+        port_link,
+        record,
+        replace_after,
+        seed,
+        trials_choose_robots,
     )
 
-    def report(event: str, facts: dict[str, Any]) -> None:
-        line = dumps({"event": event, **facts}) if json else _in_words(event, facts)
+    def print_event(event: str, facts: dict[str, Any]) -> None:
+        line = dumps({"event": event, **facts}) if json else _describe_event(event, facts)
         print(line, flush=True)
 
-    emulation = EmulatedLab(lab, loaded.experiment.setup, play, options, report)
+    emulation = EmulatedLab(lab, loaded.experiment.setup, fault_script, options, print_event)
 
-    def end(number: int, frame: object) -> None:
+    def end_emulation(signal_number: int, stack_frame: object) -> None:
         emulation.loop.end()
 
-    for number in STOP_SIGNALS:
-        signal.signal(number, end)
+    for stop_signal in STOP_SIGNALS:
+        signal.signal(stop_signal, end_emulation)
     with emulation:
         gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
         emulation.run()
@@ -101,19 +108,21 @@ def emulate(
     return Exit.DONE
 
 
-def _in_words(event: str, facts: dict[str, Any]) -> str:
-    """Describe an event as a line for the terminal.
+def _describe_event(event: str, facts: dict[str, Any]) -> str:
+    """Describe an event of the emulation as a line for the terminal.
 
-    Events without a text of their own are faults.
+    Args:
+        event: Name of the event: "ready", "client", "fault", or a key of TEXT_BY_ROBOT_EVENT.
+        facts: The facts of the event, by name.
     """
     match event:
         case "ready":
-            where = f"cameras at {facts['camera']}, {facts['actuator']}"
-            return f"ready: {where}; this is an EMULATION, no hardware is used"
+            addresses = f"cameras at {facts['camera']}, {facts['actuator']}"
+            return f"ready: {addresses}; this is an EMULATION, no hardware is used"
         case "client":
             return f"emulated cameras: {facts['address']} connected"
         case "run" | "moving" | "rest" | "placed":
-            return f"emulated robots: {ROBOTS[event]}"
+            return f"emulated robots: {TEXT_BY_ROBOT_EVENT[event]}"
         case _:
-            what = " ".join(filter(None, (facts["name"], facts["robot"], facts["mark"])))
-            return f"emulated fault: {what}, {facts['phase']}"
+            fault_text = " ".join(filter(None, (facts["name"], facts["robot"], facts["mark"])))
+            return f"emulated fault: {fault_text}, {facts['phase']}"

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from tetractl.spec.experiment import Experiment
     from tetractl.spec.lab_section import LabSection
     from tetractl_emulator.rehearsal.day import DayOutcome
-    from tetractl_emulator.rehearsal.summary import DayRow
+    from tetractl_emulator.rehearsal.summary import DaySummary
     from tetractl_emulator.rehearsal.truth import Truth, Violation
 
 
@@ -94,7 +94,12 @@ def rehearse(
     from tetractl.run.store import RecordStore
     from tetractl.spec.load import load_spec
     from tetractl.spec.plants import on_plant
-    from tetractl_emulator.rehearsal.summary import FIELDS, reasons, summary, table
+    from tetractl_emulator.rehearsal.summary import (
+        SUMMARY_FIELDS,
+        describe_endings,
+        fault_table,
+        frequent_reasons,
+    )
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
     if loaded.experiment.plant.real_time:
@@ -108,8 +113,8 @@ def rehearse(
     short_sets = (*(sets or ()), "controller.time_limit=1")
     short_spec = on_plant(load_spec(spec, short_sets), "emulated")
     # what it loads, no day has to load; no cells may have been found
-    may_fail = suppress(AbortError) if loaded.experiment.open else nullcontext()
-    with tempfile.TemporaryDirectory() as scratch, may_fail:
+    allow_abort = suppress(AbortError) if loaded.experiment.open else nullcontext()
+    with tempfile.TemporaryDirectory() as scratch, allow_abort:
         faultless = run_logged(short_spec, Path(scratch))
         if faultless.outcome is Outcome.ABORTED:
             raise AbortError(
@@ -117,53 +122,70 @@ def rehearse(
             )
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
-    store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {SAMPLING_VERSION}", FIELDS)
-    rows = store.records
+    result_store = RecordStore(
+        folder, f"{loaded.hash} {seed} {faults} {SAMPLING_VERSION}", SUMMARY_FIELDS
+    )
+    rows = result_store.records
     day_indices = range(first, first + days)
-    run_one_day = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults, folder=folder)
-    began_s = time.monotonic()
-    interrupted = False
+    run_one_day = partial(
+        rehearse_day, spec, tuple(sets or ()), seed, with_faults=faults, folder=folder
+    )
+    start_s = time.monotonic()
+    is_interrupted = False
     try:
-        with store.opened(), interrupted_once(), ui.progress("days") as show:
-            waiting = [day for day in day_indices if day not in rows]
-            for done_count, row in enumerate(called(run_one_day, waiting, jobs, ui.tell), start=1):
-                store.add(row["day"], row)
-                show(done_count, len(waiting))
+        with result_store.opened(), interrupted_once(), ui.progress("days") as show_progress:
+            waiting_days = [day for day in day_indices if day not in rows]
+            for done_count, row in enumerate(
+                called(run_one_day, waiting_days, jobs, ui.tell), start=1
+            ):
+                result_store.add(row["day"], row)
+                show_progress(done_count, len(waiting_days))
                 if not is_terminal(sys.stderr):
-                    left_s = (time.monotonic() - began_s) / done_count * (len(waiting) - done_count)
-                    remaining = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
+                    remaining_s = (
+                        (time.monotonic() - start_s) / done_count * (len(waiting_days) - done_count)
+                    )
+                    remaining = (
+                        f"{remaining_s / 60:.0f} min"
+                        if remaining_s >= 90
+                        else f"{remaining_s:.0f} s"
+                    )
                     remaining_note = (
-                        f", about {remaining} more" if done_count < len(waiting) else ""
+                        f", about {remaining} more" if done_count < len(waiting_days) else ""
                     )
                     ui.tell(
-                        f"{done_count} of {len(waiting)}{remaining_note}: "
+                        f"{done_count} of {len(waiting_days)}{remaining_note}: "
                         f"day {row['day']}: {row['ended']}"
                     )
                 for name, at_s, finding in row["violations"]:
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
     except KeyboardInterrupt:
-        interrupted = True
+        is_interrupted = True
         ui.tell(f"interrupted; to continue, run the same command again with --out {folder}")
-    played = [rows[day] for day in day_indices if day in rows]
-    violated = [row for row in played if row["violations"]]
-    played_days = f"{len(played)} {pluralize('day', len(played))}"
-    violations = f"{len(violated)} {pluralize('violation', len(violated))}"
-    totals = f"{played_days}, {violations}"
-    sections = table(played), reasons(played), summary(played), totals
+    completed_rows = [rows[day] for day in day_indices if day in rows]
+    violating_rows = [row for row in completed_rows if row["violations"]]
+    days_text = f"{len(completed_rows)} {pluralize('day', len(completed_rows))}"
+    violations_text = f"{len(violating_rows)} {pluralize('violation', len(violating_rows))}"
+    totals = f"{days_text}, {violations_text}"
+    sections = (
+        fault_table(completed_rows),
+        frequent_reasons(completed_rows),
+        describe_endings(completed_rows),
+        totals,
+    )
     print(*filter(None, sections), sep="\n\n")
-    if violated:
+    if violating_rows:
         return Exit.FAILED
-    return Exit.INTERRUPTED if interrupted else Exit.DONE
+    return Exit.INTERRUPTED if is_interrupted else Exit.DONE
 
 
-def rehearsed(
+def rehearse_day(
     spec: Path,
     sets: Sequence[str],
     seed: int,
     day: int,
-    bad: bool = True,
+    with_faults: bool = True,
     folder: Path | None = None,
-) -> "DayRow":
+) -> "DaySummary":
     """Run one randomised test run, check it, and return a summary of it.
 
     Args:
@@ -171,7 +193,7 @@ def rehearsed(
         sets: Settings that replace values of the spec.
         seed: Seed of all test runs.
         day: Index of this test run.
-        bad: Whether to inject faults.
+        with_faults: Whether to inject faults.
         folder: Where to write the script of a test run that violated an invariant. None to write no
             script.
     """
@@ -181,35 +203,35 @@ def rehearsed(
     from tetractl.spec.yaml.core_yaml import dump
     from tetractl_emulator.rehearsal.day import run_day
     from tetractl_emulator.rehearsal.day_plan import plan_of_day
-    from tetractl_emulator.rehearsal.summary import row_of
+    from tetractl_emulator.rehearsal.summary import summarize_day
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
     lab = experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     if "deadline" in type(experiment.controller).model_fields:
         sets = (*sets, "controller.deadline=60")  # no search is cut short
-    plan = plan_of_day(seed, day, lab, experiment.setup, experiment.open, bad)
+    plan = plan_of_day(seed, day, lab, experiment.setup, experiment.open, with_faults)
     sets = (*sets, *plan.settings)
     with tempfile.TemporaryDirectory() as scratch:
         outcome = run_day(spec, sets, plan, Path(scratch))
-        began_s = time.process_time()
+        start_s = time.process_time()
         experiment_of_day = on_plant(load_spec(spec, sets), "emulated").experiment
-        truth, violations = observed(outcome, experiment_of_day, lab)
-        row = row_of(day, truth, violations, time.process_time() - began_s)
+        truth, violations = observe_day(outcome, experiment_of_day, lab)
+        row = summarize_day(day, truth, violations, time.process_time() - start_s)
     if violations and folder is not None:
-        summary = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
-        text = dump(plan.script() | {"about": summary})
+        about = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
+        text = dump(plan.script() | {"about": about})
         save_whole(folder / f"seed-{seed}-day-{day}.yaml", text.encode())
     return row
 
 
-def observed(
-    day: "DayOutcome", experiment: "Experiment", lab: "LabSection"
+def observe_day(
+    outcome: "DayOutcome", experiment: "Experiment", lab: "LabSection"
 ) -> "tuple[Truth, Sequence[Violation]]":
     """Determine what truly happened in a test run, and which invariants it violated.
 
     Args:
-        day: The test run.
+        outcome: The test run.
         experiment: The experiment.
         lab: The lab.
     """
@@ -219,5 +241,5 @@ def observed(
 
     watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or WATCHDOG_S
     has_cells = lab.actuator.type == "field"
-    truth = Truth(day, experiment.setup, lab.limits, watchdog_s, halts=not has_cells)
+    truth = Truth(outcome, experiment.setup, lab.limits, watchdog_s, can_stand_still=not has_cells)
     return truth, outcome_violations(truth) if has_cells else violations(truth)

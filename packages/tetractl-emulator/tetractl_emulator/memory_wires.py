@@ -119,7 +119,7 @@ class MemoryPort(PseudoPort):
     Attributes:
         fd: A positive number while the port is plugged in, otherwise -1.
         ours: Our end while it is open. None otherwise.
-        stalled: Whether the port refuses bytes from our end.
+        is_stalled: Whether the port refuses bytes from our end.
     """
 
     def __init__(self, network: MemoryNetwork, link: Path | str) -> None:
@@ -128,7 +128,7 @@ class MemoryPort(PseudoPort):
         self._is_network = is_network(self.name)
         self._taken = deque[bytes]()  # what our end has written, a datagram or a write each
         self.ours: MemorySerial | None = None
-        self.stalled = False
+        self.is_stalled = False
 
     def plug(self) -> None:
         """Plug the port in, so that programs can open it by its name.
@@ -150,9 +150,9 @@ class MemoryPort(PseudoPort):
         if self.ours is not None:
             self.ours.hear(b"")
 
-    def stall(self, stalled: bool) -> None:
-        """Refuse bytes from our end if `stalled`, or accept them again."""
-        self.stalled = stalled
+    def set_stalled(self, is_stalled: bool) -> None:
+        """Refuse bytes from our end if `is_stalled`, or accept bytes again."""
+        self.is_stalled = is_stalled
 
     def baud(self) -> int | None:
         """Return the speed that our end has set [bits/s].
@@ -226,7 +226,7 @@ class MemorySerial(SerialPort):
         """
         if self.failure or self._devices_end is None:
             raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
-        if self._devices_end.stalled:
+        if self._devices_end.is_stalled:
             raise self._fail(f"accepts no more bytes: {self._device} is stuck")
         self._devices_end.take(data)
         return self._clock.now()

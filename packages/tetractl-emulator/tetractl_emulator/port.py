@@ -26,8 +26,10 @@ from tetractl.lab.serial_port import is_network
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 
-TERMINALS = Path("/dev/pts")
-_BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
+TERMINAL_FOLDER = Path("/dev/pts")
+"""Folder of the system's pseudo-terminals."""
+_BAUD_BY_SPEED_CODE = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
+"""Baud rate of each speed code that `termios.tcgetattr` returns."""
 
 
 def uart_ns(size: int, baud: int) -> int:
@@ -38,8 +40,8 @@ def uart_ns(size: int, baud: int) -> int:
     return size * 10 * SECOND // baud
 
 
-class OneWay:
-    """One direction of a serial line, on which bytes pass one after the other.
+class LineDirection:
+    """One direction of a serial line. It computes when bytes have passed, one after the other.
 
     Args:
         timeline: The emulation's timeline.
@@ -49,70 +51,77 @@ class OneWay:
     def __init__(self, timeline: Timeline, baud: int) -> None:
         self._timeline = timeline
         self._baud = baud
-        self._free_ns = 0  # when the bytes on their way have passed
+        self._idle_from_ns = 0  # when all bytes sent so far have passed
 
     def send(self, size: int) -> int:
-        """Send `size` bytes, after those that are still on the line.
+        """Send `size` bytes over the line, after the bytes that are still on their way.
 
         Returns:
             The time at which the last byte has passed [ns].
         """
-        start_ns = max(self._timeline.now_ns, self._free_ns)
-        self._free_ns = start_ns + uart_ns(size, self._baud)
-        return self._free_ns
+        start_ns = max(self._timeline.now_ns, self._idle_from_ns)
+        self._idle_from_ns = start_ns + uart_ns(size, self._baud)
+        return self._idle_from_ns
 
 
 class SerialLine:
-    """The line between a port and a device. The faults `baud` and `bad_bytes` act on it.
+    """The serial line between a port and a device. The faults `baud` and `bad_bytes` act on it.
 
     Args:
         timeline: The emulation's timeline.
         baud: Speed in each direction [bits/s].
         acting: The faults that act now.
+
+    Attributes:
+        baud: Speed in each direction without a fault [bits/s].
+        to_device: The direction from the port to the device.
+        to_port: The direction from the device to the port.
     """
 
     def __init__(self, timeline: Timeline, baud: int, acting: ActingFaults) -> None:
         self.baud = baud
         self._acting = acting
-        self.to_device = OneWay(timeline, baud)
-        self.to_port = OneWay(timeline, baud)
-        self._chance = random.Random(baud)
+        self.to_device = LineDirection(timeline, baud)
+        self.to_port = LineDirection(timeline, baud)
+        self._random = random.Random(baud)
 
     @property
-    def speed(self) -> int:
-        """The baud rate of the device, which the fault `baud` replaces by another one."""
+    def device_baud(self) -> int:
+        """The device's present baud rate [bits/s], which the fault `baud` changes."""
         wrong_baud = self._acting.newest("baud")
         return self.baud if wrong_baud is None else wrong_baud.baud
 
-    def disturbed(self, data: bytes) -> bytes:
-        """Return the bytes as the line delivers them, as many as were sent.
+    def corrupt(self, data: bytes) -> bytes:
+        """Return the bytes as the line delivers them. Their number does not change.
 
-        During the fault `bad_bytes`, a random fraction of them is replaced.
+        During the fault `bad_bytes`, a random fraction of the bytes is replaced.
         """
-        noise = self._acting.largest_share("bad_bytes")
-        if not noise:
+        noise_fraction = self._acting.largest_share("bad_bytes")
+        if not noise_fraction:
             return data
-        chance = self._chance
-        return bytes(chance.randrange(256) if chance.random() < noise else byte for byte in data)
+        random = self._random
+        return bytes(
+            random.randrange(256) if random.random() < noise_fraction else byte for byte in data
+        )
 
 
 class SerialDevice(ABC):
-    """Base class of a device that receives bytes from a port and answers, with a line's delays.
+    """Base class of an emulated device on a serial port. Bytes take time on the serial line.
 
     Args:
         timeline: The timeline of the emulation.
-        port: The port.
-        baud: Speed of the device [bits per second].
+        port: The port that programs open to talk to the device.
+        baud: Speed of the device [bits/s].
         note: Called with each command when it is read from the port. None if no record is kept.
-        acting: The faults that act now. None for none.
+        acting: The faults that act now. None if no fault can act.
 
     Attributes:
-        port: The port.
+        port: The port that programs open to talk to the device.
         note: Records an event, called as `note(event, **facts)`. Each command is recorded when it
             is read from the port. None if there is no record.
         acting: The faults that act now.
-        line: The line between the port and the device.
-        garbled: Number of chunks that were sent at another baud rate than the device's.
+        line: The serial line between the port and the device.
+        n_garbled_chunks: Number of chunks of bytes that a program sent at a wrong baud rate.
     """
 
     def __init__(
@@ -127,72 +136,72 @@ class SerialDevice(ABC):
         self.note = note
         self.acting = acting or ActingFaults()
         self.line = SerialLine(timeline, baud, self.acting)
-        self.garbled = 0
+        self.n_garbled_chunks = 0
         self._timeline = timeline
-        self._splitter = Splitter()  # of frames closed by 00
+        self._frame_splitter = Splitter()  # each frame ends with a zero byte
 
     @abstractmethod
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Process bytes that have arrived at the device over the serial line."""
 
-    def _witness(self, data: bytes) -> None:
-        """Record the commands in bytes read from the port, even if they do not reach the device."""
-        self._note_commands(self._splitter.feed(data))
+    def _record_commands(self, data: bytes) -> None:
+        """Record the commands in bytes from the port, even if they do not reach the device."""
+        self._record_frames(self._frame_splitter.feed(data))
 
-    def readable(self) -> None:
+    def read_port(self) -> None:
         """Read the bytes that a program wrote to the port.
 
         The device receives them after the time that they need on the line.
         """
         while data := self.port.read():
-            self._came(data)
+            self._carry_to_device(data)
 
-    def _came(self, data: bytes) -> None:
-        """Record bytes from the port, and deliver them to the device unless they are lost.
+    def _carry_to_device(self, data: bytes) -> None:
+        """Record bytes from the port, and deliver them to the device after the line's delay.
 
-        They are lost if the program has set another speed than the device's, or if the device is
-        restarting when they arrive.
+        The bytes are lost if the program has set a different speed from the device's, or if the
+        device is restarting when they arrive.
         """
         if self.note is not None:
-            self._witness(data)
-        if self.port.baud() not in (self.line.speed, None):
-            self.garbled += 1
+            self._record_commands(data)
+        if self.port.baud() not in (self.line.device_baud, None):
+            self.n_garbled_chunks += 1
             return
-        passed = self._passed(data)
-        heard_ns = self.line.to_device.send(len(data))
-        if passed:
-            self._timeline.at(heard_ns, lambda: None if self.is_down else self.hear(passed))
+        delivered = self._as_delivered(data)
+        arrival_ns = self.line.to_device.send(len(data))
+        if delivered:
+            self._timeline.at(arrival_ns, lambda: None if self.is_down else self.receive(delivered))
 
-    def _passed(self, data: bytes) -> bytes:
-        """Return bytes as they are delivered, which a fault may have changed.
+    def _as_delivered(self, data: bytes) -> bytes:
+        """Return bytes as they are delivered: a fault may change them.
 
-        For a network, the result is b"" if they were changed, because a damaged datagram is
-        dropped.
+        If the port is a network address and the bytes were changed, the result is b"", because a
+        damaged datagram is dropped.
         """
-        passed = self.line.disturbed(data)
-        is_dropped = passed != data and is_network(self.port.name)
-        return b"" if is_dropped else passed
+        delivered = self.line.corrupt(data)
+        is_dropped = delivered != data and is_network(self.port.name)
+        return b"" if is_dropped else delivered
 
     @property
     def is_down(self) -> bool:
         """Whether the device is restarting, and neither receives nor sends bytes."""
         return bool(self.acting.of_kind("radio_resets"))
 
-    def _note_commands(self, frames: Sequence[bytes]) -> None:
+    def _record_frames(self, frames: Sequence[bytes]) -> None:
         """Record each frame from the port as a command, or as garbage if it cannot be decoded."""
-        assert self.note is not None, "nothing is witnessed without a record"
-        for sealed in frames:
+        assert self.note is not None, "only called if a record is kept"
+        for frame in frames:
             try:
-                self.note("command", **self._command(sealed))
+                self.note("command", **self._decode_command(frame))
             except WireError:
-                self.note("garbage", hex=sealed.hex())
+                self.note("garbage", hex=frame.hex())
 
     @abstractmethod
-    def _command(self, sealed: bytes) -> dict[str, Any]:
+    def _decode_command(self, frame: bytes) -> dict[str, Any]:
         """Decode a command for the record.
 
         Args:
-            sealed: A frame that was read from the port.
+            frame: A frame that was read from the port.
 
         Returns:
             The facts of the command, by name.
@@ -201,86 +210,88 @@ class SerialDevice(ABC):
             WireError: If the frame is not a command.
         """
 
-    def _answer(self, data: bytes) -> None:
-        """Send bytes to the program, after the time that they need on the line.
+    def _send_to_program(self, data: bytes) -> None:
+        """Send bytes to the program. They arrive after the time that they need on the line.
 
-        They are lost if the device is restarting, or if a fault has changed its speed.
+        The bytes are lost if the device is restarting, or if a fault has changed its speed.
         """
-        come_ns = self.line.to_port.send(len(data))
-        if not self.is_down and self.line.speed == self.line.baud:
-            passed = self._passed(data)
-            if passed:
-                self._timeline.at(come_ns, lambda: self.port.write(passed))
+        arrival_ns = self.line.to_port.send(len(data))
+        if not self.is_down and self.line.device_baud == self.line.baud:
+            delivered = self._as_delivered(data)
+            if delivered:
+                self._timeline.at(arrival_ns, lambda: self.port.write(delivered))
 
 
 class PluggedDevices:
-    """Base class of devices on ports that are plugged in and unplugged together.
+    """Base class of a group of devices whose ports are plugged in and unplugged together.
 
     Attributes:
-        what: Description of the devices, for display.
+        description: Name of the devices, for display, such as "robots".
     """
 
-    what: ClassVar[str]
+    description: ClassVar[str]
     _loop: Loop | None = None
 
     @property
     @abstractmethod
-    def wired(self) -> Sequence[SerialDevice]:
-        """The devices that receive bytes and answer, each on one port."""
+    def serial_devices(self) -> Sequence[SerialDevice]:
+        """The devices of the group, each of which is on its own port."""
 
     def open(self, loop: Loop) -> dict[str, Any]:
         """Plug the devices in.
 
         Returns:
-            Two entries: "actuator" maps to a description for display, and "port" to the name of the
-            first port.
+            Two entries: "actuator" maps to a text for display, which names the devices and their
+            ports, and "port" maps to the name of the first port.
         """
         self._loop = loop
-        self.plugged(True)
-        ports = [device.port.name for device in self.wired]
-        return {"actuator": f"{self.what} at {', '.join(ports)}", "port": ports[0]}
+        self.set_plugged(True)
+        port_names = [device.port.name for device in self.serial_devices]
+        return {"actuator": f"{self.description} at {', '.join(port_names)}", "port": port_names[0]}
 
     def close(self) -> dict[str, Any]:
         """Unplug the devices.
 
         Returns:
-            One entry: "garbled" maps to the number of chunks that were received at a wrong baud
-            rate.
+            One entry: "garbled" maps to the number of chunks of bytes that programs sent at a wrong
+            baud rate.
         """
-        self.plugged(False)
-        return {"garbled": sum(device.garbled for device in self.wired)}
+        self.set_plugged(False)
+        return {"garbled": sum(device.n_garbled_chunks for device in self.serial_devices)}
 
-    def plugged(self, on: bool) -> None:
+    def set_plugged(self, is_plugged: bool) -> None:
         """Plug the devices in, or unplug them.
 
         Args:
-            on: Whether to plug them in, which is possible after `open`. Unplugging can be repeated.
+            is_plugged: True to plug them in, which is possible after `open`. False to unplug them,
+                which can be repeated.
         """
-        for device in self.wired:
-            if on:
+        for device in self.serial_devices:
+            if is_plugged:
                 assert self._loop is not None, "open() sets the loop"
                 device.port.plug()
-                self._loop.watch(device.port.fd, device.readable)
+                self._loop.watch(device.port.fd, device.read_port)
             else:
                 if self._loop is not None:
                     self._loop.forget(device.port.fd)
                 device.port.unplug()
 
-    def stall(self, stalled: bool) -> None:
-        """Stop all ports from taking bytes if `stalled`, or let them take bytes again.
+    def set_stalled(self, is_stalled: bool) -> None:
+        """Block all ports, or unblock them. A blocked port takes no bytes from the program.
 
-        The bytes concerned are those that the program writes.
+        Args:
+            is_stalled: True to block the ports, False to unblock them.
         """
-        for device in self.wired:
-            device.port.stall(stalled)
+        for device in self.serial_devices:
+            device.port.set_stalled(is_stalled)
 
 
-def _left_over(link: Path) -> bool:
+def _is_left_over(link: Path) -> bool:
     """Check whether a link was left behind by an emulation that was killed.
 
-    Its terminal is then gone, or is another one that was created later with the same number.
+    The link's terminal then no longer exists, or a newer terminal has the same name.
     """
-    if not link.is_symlink() or TERMINALS not in link.readlink().parents:
+    if not link.is_symlink() or TERMINAL_FOLDER not in link.readlink().parents:
         return False
     try:
         return link.stat().st_ctime_ns > link.lstat().st_mtime_ns
@@ -291,11 +302,14 @@ def _left_over(link: Path) -> bool:
 class PseudoPort:
     """A pseudo-terminal that programs open like a serial port.
 
-    As with any serial port, a program can open it exclusively. A second program is then refused.
+    A program can open the port exclusively, like any serial port. A second program is then refused.
+
+    Args:
+        link: Path to create for programs to open.
 
     Attributes:
         link: Path that is created for programs to open.
-        name: The path as text.
+        name: The path as a string.
         fd: File descriptor of the emulated device's end. -1 while the port is unplugged.
     """
 
@@ -304,19 +318,19 @@ class PseudoPort:
         self.name = str(link)
         self.fd = -1
         # kept open, so that `fd` stays valid while no program has the port open
-        self._far = -1
+        self._program_fd = -1
 
     def plug(self) -> None:
-        """Create the pseudo-terminal and the link to it. If this fails, nothing is left behind.
+        """Create the pseudo-terminal and a link to it. If this fails, both are removed again.
 
         Raises:
             UsageError: If the link cannot be created.
         """
-        self.fd, self._far = os.openpty()
+        self.fd, self._program_fd = os.openpty()
         try:
-            tty.setraw(self._far)
+            tty.setraw(self._program_fd)
             os.set_blocking(self.fd, False)
-            self._make_link(os.ttyname(self._far))
+            self._create_link(os.ttyname(self._program_fd))
         except BaseException:
             self._close()
             raise
@@ -324,29 +338,34 @@ class PseudoPort:
     def unplug(self) -> None:
         """Remove the port and its link. This method can be called repeatedly.
 
-        A program that uses the port gets errors. A link that leads elsewhere by now is kept.
+        A program that uses the port gets errors. If the link now leads elsewhere, it is kept.
         """
-        if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
+        if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._terminal:
             self.link.unlink()
         self._close()
 
-    def stall(self, stalled: bool) -> None:
+    def set_stalled(self, is_stalled: bool) -> None:
         """Block writes to the port, as if no device took the bytes, or allow them again."""
         if self.fd >= 0:
-            termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
+            termios.tcflow(self._program_fd, termios.TCOOFF if is_stalled else termios.TCOON)
 
     def baud(self) -> int | None:
-        """Return the speed that the program has set [bits/s].
+        """Return the speed that the program has set on the port [bits/s].
 
-        It is 0 if the port is closed or the speed is unknown. A subclass for a network returns
-        None.
+        Returns:
+            The speed. 0 if the port is closed or the speed is unknown. A subclass for a network
+            returns None, because a network has no baud rate.
         """
-        return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
+        return (
+            _BAUD_BY_SPEED_CODE.get(termios.tcgetattr(self._program_fd)[5], 0)
+            if self.fd >= 0
+            else 0
+        )
 
     def read(self) -> bytes:
         """Return the bytes that the program has written to the port, at most 4096.
 
-        b"" if there are none, or if the port is closed.
+        The result is b"" if there are no bytes, or if the port is closed.
         """
         try:
             return os.read(self.fd, 4096) if self.fd >= 0 else b""
@@ -358,43 +377,43 @@ class PseudoPort:
             raise
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the program. Bytes that it does not read are lost, as on a wire.
+        """Send bytes to the program. Bytes that the program does not read are lost, as on a wire.
 
-        They are also lost if the port is not plugged in.
+        The bytes are also lost if the port is not plugged in.
         """
         if self.fd >= 0:
             with suppress(BlockingIOError):
                 os.write(self.fd, data)
 
-    def _make_link(self, target: str) -> None:
+    def _create_link(self, terminal: str) -> None:
         """Create the link to the terminal, and replace a link that a killed emulation has left.
 
         Raises:
             UsageError: If another file has this name, or if the link cannot be created.
         """
-        if _left_over(self.link):
+        if _is_left_over(self.link):
             self.link.unlink()
         try:
-            self.link.symlink_to(target)
+            self.link.symlink_to(terminal)
         except OSError as error:
-            why = f"cannot create the link {self.link} to the emulated port: {error.strerror}"
+            message = f"cannot create the link {self.link} to the emulated port: {error.strerror}"
             if error.errno == errno.EEXIST:
-                why = (
+                message = (
                     f"cannot create the link {self.link}: a file of this name exists already, "
                     "perhaps a real device"
                 )
             raise UsageError(
-                why,
+                message,
                 hint=(
                     "choose another name with --port-link, and give the run the same name "
                     "with --set lab.actuator.port=NAME"
                 ),
             ) from None
-        self._target = target
+        self._terminal = terminal
 
     def _close(self) -> None:
         """Close both ends of the pseudo-terminal."""
-        for fd in (self.fd, self._far):
-            if fd >= 0:
-                os.close(fd)
-        self.fd = self._far = -1
+        for open_fd in (self.fd, self._program_fd):
+            if open_fd >= 0:
+                os.close(open_fd)
+        self.fd = self._program_fd = -1

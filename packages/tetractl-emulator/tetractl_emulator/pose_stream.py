@@ -18,7 +18,7 @@ from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
 from tetractl.spec.base import Model, NonNegative
 from tetractl.spec.lab_section import LabSection
 from tetractl.spec.section_abilities import Addressed
-from tetractl_emulator.fault_rows import scale_of
+from tetractl_emulator.fault_rows import length_scale
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, noise_of_day
@@ -79,7 +79,7 @@ class PoseStream(PoseCamera):
     listens.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         settings: Properties of the camera that differ from the spec.
         bodies: The robots.
     """
@@ -98,7 +98,7 @@ class PoseStream(PoseCamera):
         """
         section = lab.camera
         assert isinstance(section, Addressed), NEEDS
-        drawn = noise_of_day(chance, scale_of(lab, setup))
+        drawn = noise_of_day(chance, length_scale(lab, setup))
         later_s = section.latency - LATENCY_S
         return drawn | {"latency": max(0.0, round(drawn["latency"] + later_s, 4))}
 

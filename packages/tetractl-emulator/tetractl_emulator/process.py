@@ -30,7 +30,7 @@ from tetractl_emulator.fault_rows import (
     one_of,
     value_between,
 )
-from tetractl_emulator.faults import fault_kind, switching
+from tetractl_emulator.faults import begin_by_switching, fault_kind
 
 AFTER_NS = SECOND
 """Time for which an emulated lab continues after the process has ended [ns].
@@ -182,7 +182,7 @@ PROCESS_FAULTS = (
             FaultRow("suspended", ASLEEP, {"for": value_between(0.02, 5)}),
             FaultRow("computer sleeps", ASLEEP, {"for": one_of(3.0, 30.0)}),
         ],
-        begin=switching(lambda f, p: p.stop),
+        begin=begin_by_switching(lambda f, p: p.stop),
     ),
     fault_kind(
         "disk_full",

@@ -1,7 +1,7 @@
 """Scripts of an emulated lab: how the lab differs from the spec, and which faults occur.
 
 A script is YAML. The settings and faults that it can contain depend on the types of the lab's
-camera and actuator. `Sides` holds the two classes that emulate them.
+camera and actuator. `DeviceClasses` contains the two classes that emulate them.
 """
 
 from dataclasses import dataclass
@@ -22,32 +22,38 @@ from tetractl_emulator.process import PROCESS_FAULTS
 from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 
 
-def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
-    """Parse a fault. The mapping's key `fault` names its kind. A `Fault` is returned as it is.
+def _parse_fault(value: Any, info: ValidationInfo) -> Fault:
+    """Parse a fault of a script. The mapping's key `fault` names the kind of fault.
 
-    PydanticCustomError is raised if no device of the lab has this kind of fault.
+    A `Fault` is returned unchanged.
+
+    Raises:
+        PydanticCustomError: If no device of the lab has this kind of fault.
     """
     if isinstance(value, Fault):
         return value
-    kinds = _sides(info).faults
+    kinds = _device_classes(info).faults
     name = str(value.get("fault")) if isinstance(value, dict) else ""
     if name not in kinds:
-        text = f"the field fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
-        raise PydanticCustomError("fault", "{text}", {"text": text})
+        message = (
+            f"the field fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
+        )
+        raise PydanticCustomError("fault", "{text}", {"text": message})
     return kinds[name].model_validate(value, strict=True)
 
 
-def _settings(value: Any, info: ValidationInfo) -> Model:
+def _parse_settings(value: Any, info: ValidationInfo) -> Model:
     """Parse the settings of an emulated device. The field is named "camera" or "actuator".
 
-    Invalid settings raise ValidationError.
+    Raises:
+        ValidationError: If the settings are invalid.
     """
-    sides = _sides(info)
-    side = sides.camera if info.field_name == "camera" else sides.actuator
+    classes = _device_classes(info)
+    side = classes.camera if info.field_name == "camera" else classes.actuator
     return side.Settings.model_validate(value, strict=True)
 
 
-class Placed(Model):
+class TrueStart(Model):
     """The true start of a robot, if it differs from the spec's."""
 
     name: Name
@@ -61,11 +67,11 @@ class Placed(Model):
 class Emulation(Model):
     """Properties of the emulated lab that differ from the spec."""
 
-    camera: Annotated[Model, PlainValidator(_settings)] | None = None
+    camera: Annotated[Model, PlainValidator(_parse_settings)] | None = None
     """Settings of the emulated camera; the fields depend on the camera's type."""
-    actuator: Annotated[Model, PlainValidator(_settings)] | None = None
+    actuator: Annotated[Model, PlainValidator(_parse_settings)] | None = None
     """Settings of the emulated actuator; the fields depend on the actuator's type."""
-    robots: tuple[Placed, ...] = ()
+    robots: tuple[TrueStart, ...] = ()
     """The robots whose true start differs from the spec's."""
 
 
@@ -76,7 +82,7 @@ class Script(Model):
     """Purpose of the script, in one or two sentences."""
     emulation: Emulation = Emulation()
     """Properties of the emulated lab that differ from the spec."""
-    faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
+    faults: tuple[Annotated[Fault, PlainValidator(_parse_fault)], ...] = Field(
         default=(), max_length=100
     )
     """The faults and their times."""
@@ -86,12 +92,18 @@ class Script(Model):
     """The result that a test expects of the run; not used by the emulation."""
 
 
-NOTHING = Script(about="nothing goes wrong")
+NO_FAULTS = Script(about="nothing goes wrong")
+"""A script without faults, for a lab that agrees with the spec."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sides:
-    """The two classes that emulate a lab's devices: the camera and the actuator."""
+class DeviceClasses:
+    """The two classes that emulate a lab's devices.
+
+    Attributes:
+        camera: The class of the emulated camera.
+        actuator: The class of the emulated actuator.
+    """
 
     camera: Any
     actuator: Any
@@ -160,39 +172,43 @@ def parse_script(
         InvalidSpecError: If the script is invalid. The error contains a line for each problem.
     """
     document = parse_document(text, origin)
-    sides = Sides.of_types(camera, actuator)
+    classes = DeviceClasses.of_types(camera, actuator)
     try:
         script = Script.model_validate(
-            with_tuples(document.data), strict=True, context={"sides": sides}
+            with_tuples(document.data), strict=True, context={"device_classes": classes}
         )
     except ValidationError as error:
-        problem = error.errors(include_url=False)
-        problems = [_problem(details, document, sides) for details in problem]
+        errors = error.errors(include_url=False)
+        problems = [_to_problem(details, document, classes) for details in errors]
         raise InvalidSpecError([*document.all_problems, *problems]) from None
     document.require_no_problems()
     return script
 
 
-def _sides(info: ValidationInfo) -> Sides:
-    """Return the emulated devices that `parse_script` has passed as context."""
-    assert info.context is not None, "parse_script passes the sides"
-    return info.context["sides"]
+def _device_classes(info: ValidationInfo) -> DeviceClasses:
+    """Return the classes of the emulated devices, which `parse_script` has passed as context."""
+    assert info.context is not None, "parse_script passes the classes"
+    return info.context["device_classes"]
 
 
-def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecProblem:
-    """Convert a validation error to a problem with a line and a message.
-
-    The problem is not raised.
-    """
-    loc = tuple(details["loc"])
-    for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
-        if details["type"] == "extra_forbidden" and loc[:-1] == ("emulation", name):
-            fields = list(side.Settings.model_fields)
-            guess = did_you_mean(str(loc[-1]), fields) or f"; known here: {', '.join(fields)}"
-            return document.key(loc).problem(loc, f"unknown key{guess}")
-    place = document.key(loc) if details["type"] == "extra_forbidden" else document.place(loc)
+def _to_problem(details: ErrorDetails, document: Document, classes: DeviceClasses) -> SpecProblem:
+    """Convert a validation error to a problem with a line number and a message."""
+    location = tuple(details["loc"])
+    for name, side in (("camera", classes.camera), ("actuator", classes.actuator)):
+        if details["type"] == "extra_forbidden" and location[:-1] == ("emulation", name):
+            field_names = list(side.Settings.model_fields)
+            suggestion = (
+                did_you_mean(str(location[-1]), field_names)
+                or f"; known here: {', '.join(field_names)}"
+            )
+            return document.key(location).problem(location, f"unknown key{suggestion}")
+    place = (
+        document.key(location) if details["type"] == "extra_forbidden" else document.place(location)
+    )
     message = explain_in_words(details, details["input"])
-    if details["type"] == "tuple_type" and loc[0] == "faults" and len(loc) > 2:
-        kind = sides.faults[document.data["faults"][loc[1]]["fault"]]
-        message = f"must be {describe_list(kind.model_json_schema()['properties'][loc[2]])}"
-    return place.problem(loc, message)
+    if details["type"] == "tuple_type" and location[0] == "faults" and len(location) > 2:
+        fault_kind = classes.faults[document.data["faults"][location[1]]["fault"]]
+        message = (
+            f"must be {describe_list(fault_kind.model_json_schema()['properties'][location[2]])}"
+        )
+    return place.problem(location, message)

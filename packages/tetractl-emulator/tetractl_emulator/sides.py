@@ -1,7 +1,7 @@
 """The interfaces of emulated cameras and actuators.
 
 The emulated actuator moves robots as a program commands, and the emulated camera shows the robots
-to the program. The class that emulates one of the two devices is called a *side* of the lab.
+to the program. Each of the two emulated devices is called a *side* of the lab.
 
 To emulate another camera or actuator, implement the interface, and name the class in the entry
 points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`. The classes of this package are
@@ -25,6 +25,7 @@ from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.wires import Wires
 
 Facts = dict[str, Any]
+"""Facts about an event or a device, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,26 +36,26 @@ class Options:
         address: Address at which the camera serves. None for the spec's address.
         command_port: UDP port for commands to the camera. 0 for any free port, None for the spec's.
         data_port: UDP port for the camera's frames. 0 for any free port, None for the spec's.
-        link: Path to create for the actuator's serial port. None for the spec's.
+        port_link: Path to create for the actuator's serial port. None for the spec's.
         record: File for the true events, as JSON lines. None for no file.
         replace_after: After robots have stood still for this time after a run [s], they are
             switched off, put back on their starts and switched on. None to leave them where they
             are.
         seed: Seed of the emulation's random numbers.
-        chosen: Whether trials choose their robots among the cells in the dish. The emulation's
-            settings then determine these cells.
-        dish: Seed of the cells in the dish. None for `seed`.
+        trials_choose_robots: Whether trials choose their robots among the cells in the dish. The
+            emulation's settings then determine these cells.
+        dish_seed: Seed of the cells in the dish. None for `seed`.
     """
 
     address: str | None = "127.0.0.1"
     command_port: int | None = None
     data_port: int | None = None
-    link: Path | None = None
+    port_link: Path | None = None
     record: Path | None = None
     replace_after: float | None = None
     seed: int = 1
-    chosen: bool = False
-    dish: int | None = None
+    trials_choose_robots: bool = False
+    dish_seed: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +119,7 @@ class Body(Protocol):
 
 
 class EmulatedSide(Protocol):
-    """One device of an emulated lab.
+    """An emulated device of a lab: its camera or its actuator.
 
     Attributes:
         Settings: Model of the device's settings in a script's section `emulation`.
@@ -160,9 +161,9 @@ class EmulatedCamera(EmulatedSide, Protocol):
 
     @property
     def join(self) -> Any:
-        """The object that tetractl's camera needs to connect to this camera in memory.
+        """The object with which tetractl's camera connects to this emulated camera in memory.
 
-        It is passed to tetractl's camera as the last argument.
+        The object is the last argument of tetractl's camera.
         """
         ...
 
@@ -177,12 +178,12 @@ class EmulatedActuator(EmulatedSide, Protocol):
 
     @property
     def driven(self) -> bool:
-        """Whether any robot is being driven."""
+        """Whether the actuator drives any robot at present."""
         ...
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """Facts of the present true state, by name. They are recorded at each exposure."""
+        """Facts about the present true state, by name. They are recorded at each exposure."""
         ...
 
     def switch(self, on: bool) -> None:

@@ -23,7 +23,7 @@ from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.memory_wires import MemoryNetwork, MemorySocket
 from tetractl_emulator.process import AFTER_NS, ThisProcess
-from tetractl_emulator.script import NOTHING, Script
+from tetractl_emulator.script import NO_FAULTS, Script
 from tetractl_emulator.sides import EmulatedCamera, Options
 from tetractl_emulator.wires import Wires
 
@@ -183,7 +183,7 @@ def started(
     setup: Setup,
     clock: LabClock,
     options: Options,
-    script: Script = NOTHING,
+    script: Script = NO_FAULTS,
     supervision: LabSupervision | None = None,
     blind: EmulatedCamera | None = None,
 ) -> EmulatedLab:

@@ -101,9 +101,9 @@ class EmulatedPlantSection(RigSection):
             SpecError: If a device cannot be emulated.
             AbortError: If software is missing.
         """
-        from tetractl_emulator.script import Sides
+        from tetractl_emulator.script import DeviceClasses
 
-        Sides.of_types(self.camera.type, self.actuator.type)
+        DeviceClasses.of_types(self.camera.type, self.actuator.type)
         if self.real == "actuator":
             self.actuator.require_port()
 
@@ -146,7 +146,7 @@ class EmulatedPlantSection(RigSection):
         """
         from tetractl.spec.yaml.core_yaml import dump
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
-        from tetractl_emulator.script import NOTHING, parse_script
+        from tetractl_emulator.script import NO_FAULTS, parse_script
         from tetractl_emulator.sides import Options
         from tetractl_emulator.virtual_lab import LabClock, LiveClock, outlive, started
 
@@ -159,11 +159,15 @@ class EmulatedPlantSection(RigSection):
             record = Path(self.record) / f"truth-{seed.spawn_key[0]:03d}.jsonl"
             record.parent.mkdir(parents=True, exist_ok=True)
         options = Options(
-            address=None, seed=own_seed, record=record, chosen=chosen, dish=seed.entropy
+            address=None,
+            seed=own_seed,
+            record=record,
+            trials_choose_robots=chosen,
+            dish_seed=seed.entropy,
         )
         faults = self.with_files(Path()).faults
         types = self.camera.type, self.actuator.type
-        script = NOTHING
+        script = NO_FAULTS
         if isinstance(faults, dict):
             script = parse_script(dump(faults), "plant.faults", *types)
         has_cells = chosen or self.actuator.type == "field"

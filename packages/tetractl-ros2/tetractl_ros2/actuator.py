@@ -41,11 +41,11 @@ from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
 
 BASE_FRAME = "base_link"
 """Frame of a TwistStamped, which is the robot's own frame."""
-WORLD = "world"
+WORLD_FRAME = "world"
 """Frame of a direction, which has the axes of the spec."""
-EMPTY = 10.0
+EMPTY_PERCENT = 10.0
 """Charge below which a robot would soon stop [%]."""
-HINT = "is the robot's driver running, and in the same ROS domain?"
+DRIVER_HINT = "is the robot's driver running, and in the same ROS domain?"
 NO_WATCHDOG = (
     "`stops_after` is not set: if this computer or its network fails, the robots drive on "
     "with their last command until somebody switches them off"
@@ -53,11 +53,11 @@ NO_WATCHDOG = (
 
 
 class Ros2Robots(SpeedRobots):
-    """The actuator for robots of a ROS 2 graph; see `tetractl.core.protocols.Actuator`.
+    """The actuator that drives robots of a ROS 2 graph; see `tetractl.core.protocols.Actuator`.
 
     Args:
         section: The actuator's section of the spec.
-        setup: The robots.
+        setup: The constants of the experiment.
         clock: The run's clock.
         ports: Creates ports instead of the default ones, for example ports in memory.
         unix_ns: Returns the time since 1970 [ns], for the stamps of TwistStamped.
@@ -73,96 +73,118 @@ class Ros2Robots(SpeedRobots):
     ) -> None:
         self.section = section
         self._unix_ns = unix_ns
-        self._vector = Vector3()  # of the newest direction
+        self._direction_vector = Vector3()  # of the newest direction or turn
         self._batteries: list[BatteryState | None] = [None] * len(setup.names)
         commands = command_topics(section, setup)
         batteries = battery_topics(section, setup)
         emergency = emergency_topic(section)
-        known = [topic for topic in (*commands, *batteries, emergency) if topic is not None]
-        make = ports or ports_of(known)
+        topics = [topic for topic in (*commands, *batteries, emergency) if topic is not None]
+        make_port = ports or ports_of(topics)
         domain = section.domain
         self._command_ports = [
-            make(topic.address(domain), 0, name, clock, lambda *_: None, HINT)
+            make_port(topic.address(domain), 0, name, clock, lambda *_: None, DRIVER_HINT)
             for name, topic in zip(setup.names, commands, strict=True)
         ]
         battery_ports = [
-            make(topic.address(domain), 0, topic.name, clock, partial(self._hear, row), HINT)
+            make_port(
+                topic.address(domain),
+                0,
+                topic.name,
+                clock,
+                partial(self._receive_battery, row),
+                DRIVER_HINT,
+            )
             for row, topic in enumerate(batteries)
             if topic is not None
         ]
         self._emergency_port: SerialPort | None = None
         if emergency is not None:
             address = emergency.address(domain)
-            self._emergency_port = make(
-                address, 0, "the emergency stop", clock, lambda *_: None, HINT
+            self._emergency_port = make_port(
+                address, 0, "the emergency stop", clock, lambda *_: None, DRIVER_HINT
             )
-        stopping = [] if self._emergency_port is None else [self._emergency_port]
-        all_ports = PortGroup([*self._command_ports, *stopping, *battery_ports])
+        emergency_ports = [] if self._emergency_port is None else [self._emergency_port]
+        all_ports = PortGroup([*self._command_ports, *emergency_ports, *battery_ports])
         robots = [entry(section.robots, name) for name in setup.names]
         super().__init__(section, robots, setup, clock, all_ports)
 
     @property
     def stopping_ports(self) -> list[SerialPort]:
-        """The ports that stop the robots: those of commands, then the emergency stop's, if any."""
+        """The ports for stopping the robots: the command ports, then the emergency stop's port."""
         emergency = [] if self._emergency_port is None else [self._emergency_port]
         return [*self._command_ports, *emergency]
 
     def check(self) -> Health:
-        """Report other nodes that drive the robots, and an emergency stop without a subscriber.
+        """Check for other nodes that drive the robots, and for an unheard emergency stop.
 
-        The report also asks the user whether robots may lack a watchdog.
+        An emergency stop is unheard if no node subscribes to its topic. If the section does not
+        state a watchdog, the result also asks the user about it.
         """
         problems = [
             (
-                f"{rivals} other publisher{'s' * (rivals > 1)} on {port.end.topic.name}: stop "
+                f"{n_others} other publisher{'s' * (n_others > 1)} on {port.end.topic.name}: stop "
                 "the other programs that drive this robot"
             )
             for port in self._command_ports
-            if isinstance(port, TopicPort) and (rivals := port.end.rivals()) > 0
+            if isinstance(port, TopicPort) and (n_others := port.end.count_other_publishers()) > 0
         ]
-        stopping = self._emergency_port
-        if isinstance(stopping, TopicPort) and not stopping.look_for_subscribers():
+        emergency_port = self._emergency_port
+        if isinstance(emergency_port, TopicPort) and not emergency_port.look_for_subscribers():
             problems.append(
-                f"the emergency stop does not reach any robot: {stopping.refusal}: {HINT}"
+                "the emergency stop does not reach any robot: "
+                f"{emergency_port.refusal}: {DRIVER_HINT}"
             )
         questions = () if self.section.stops_after is not None else (NO_WATCHDOG,)
-        emulated = [b is not None and b.serial_number == EMULATED_NAME for b in self._batteries]
-        return Health(tuple(problems), questions=questions, emulated=any(emulated))
+        is_emulated = any(
+            state is not None and state.serial_number == EMULATED_NAME for state in self._batteries
+        )
+        return Health(tuple(problems), questions=questions, emulated=is_emulated)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Wait for the states of the batteries, and return the status of each robot.
+        """Wait for the battery states, and return the status of each robot.
 
-        It waits for at most `timeout_s` [s], and not for robots without a battery topic.
-        The status also reports a robot whose topic has no subscriber.
+        The method does not wait for robots without a battery topic. The status also reports a robot
+        whose command topic has no subscriber.
+
+        Args:
+            timeout_s: Maximum time to wait [s].
         """
         has_battery = [entry(self.section.robots, name).battery is not None for name in self.names]
 
-        def has_all() -> bool:
+        def has_all_states() -> bool:
             pairs = zip(has_battery, self._batteries, strict=True)
             return all(state is not None for expected, state in pairs if expected)
 
-        wait_for(self._clock, has_all, timeout_s)
+        wait_for(self._clock, has_all_states, timeout_s)
         return [self._status(row, has_battery[row]) for row in range(len(self.names))]
 
     def _status(self, row: int, has_battery: bool) -> RobotStatus:
+        """Describe a robot's link and battery, with a warning if an expected state is missing."""
         name = self.names[row]
         port = self._command_ports[row]
-        answers = port.look_for_subscribers() if isinstance(port, TopicPort) else None
-        problems = () if port.refusal is None else (f"{name}: {port.refusal}: {HINT}",)
+        has_subscriber = port.look_for_subscribers() if isinstance(port, TopicPort) else None
+        problems = () if port.refusal is None else (f"{name}: {port.refusal}: {DRIVER_HINT}",)
         state = self._batteries[row]
         if state is None:
-            silent = (
+            silence_warning = (
                 f"{name} sends no battery state on the topic "
                 f"{entry(self.section.robots, name).battery}"
             )
-            return RobotStatus(answers, problems=problems, warnings=(silent,) * has_battery)
-        volts = state.voltage if math.isfinite(state.voltage) else None
-        charge = round(100 * state.percentage) if math.isfinite(state.percentage) else None
-        low = f"{name}'s battery is at {charge} %"
-        if charge is not None and charge < EMPTY:
-            problems = (*problems, f"{low}: charge it")
-        warns = charge is not None and EMPTY <= charge < self.section.battery_warn
-        return RobotStatus(answers, volts, problems, (low,) * warns, charge)
+            return RobotStatus(
+                has_subscriber, problems=problems, warnings=(silence_warning,) * has_battery
+            )
+        voltage = state.voltage if math.isfinite(state.voltage) else None
+        charge_percent = round(100 * state.percentage) if math.isfinite(state.percentage) else None
+        low_battery_text = f"{name}'s battery is at {charge_percent} %"
+        if charge_percent is not None and charge_percent < EMPTY_PERCENT:
+            problems = (*problems, f"{low_battery_text}: charge it")
+        is_low = (
+            charge_percent is not None
+            and EMPTY_PERCENT <= charge_percent < self.section.battery_warn
+        )
+        return RobotStatus(
+            has_subscriber, voltage, problems, (low_battery_text,) * is_low, charge_percent
+        )
 
     def send(
         self,
@@ -172,14 +194,14 @@ class Ros2Robots(SpeedRobots):
         exposed_ns: int,
     ) -> Transmission:
         """Send each robot its command; see `tetractl.core.protocols.Actuator.send`."""
-        self._vector = _vector(action)
+        self._direction_vector = _direction_vector(action)
         return super().send(action, poses, moving, exposed_ns)
 
     def command(self, row: int, left: float, right: float) -> bytes:
-        """Create the message that asks a robot for wheel speeds.
+        """Create the message that commands a robot's wheel speeds.
 
-        For a robot that steers itself, the message is the direction instead, if the robot may move
-        at all.
+        A robot that steers itself receives the common direction instead, or the zero vector if both
+        wheel speeds are 0.
 
         Args:
             row: The robot's index in the setup.
@@ -187,25 +209,28 @@ class Ros2Robots(SpeedRobots):
             right: Speed of the right wheel [mm/s].
         """
         if self.section.message == DIRECTION:
-            vector = self._vector if left or right else Vector3()
-            return Vector3Stamped(header=self._header(WORLD), vector=vector).serialize()
+            vector = self._direction_vector if left or right else Vector3()
+            return Vector3Stamped(header=self._header(WORLD_FRAME), vector=vector).serialize()
         speed_m_s = (left + right) / 2000
-        turning = (right - left) / (2 * float(self.radii[row]))
-        message = Twist(linear=Vector3(x=speed_m_s), angular=Vector3(z=turning))
+        turning_rad_s = (right - left) / (2 * float(self.radii[row]))
+        message = Twist(linear=Vector3(x=speed_m_s), angular=Vector3(z=turning_rad_s))
         if self.section.message == "Twist":
             return message.serialize()
         return TwistStamped(header=self._header(BASE_FRAME), twist=message).serialize()
 
     def _header(self, frame: str) -> Header:
+        """Create a message header with the present time and a coordinate frame."""
         sec, nanosec = divmod(self._unix_ns(), SECOND)
         return Header(stamp=Time(sec, nanosec), frame_id=frame)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
-        asked = outputs * self.section.unit_mm
-        messages = [self.command(row, *pair) for row, pair in enumerate(asked.T.tolist())]
+        """Send wheel speeds [unit_mm mm/s] to all robots; see the base class."""
+        speeds_mm_s = outputs * self.section.unit_mm
+        messages = [self.command(row, *pair) for row, pair in enumerate(speeds_mm_s.T.tolist())]
         return self._send(self._command_ports, messages), outputs * self.gain
 
     def _halt(self, emergency: bool) -> int:
+        """Stop all robots, and also send the emergency stop if `emergency`; see the base class."""
         messages = [self.command(row, 0.0, 0.0) for row in range(len(self.names))]
         ports = self._command_ports
         if emergency and self._emergency_port is not None:
@@ -221,13 +246,14 @@ class Ros2Robots(SpeedRobots):
         """
         return PortGroup(ports).send(messages)
 
-    def _hear(self, row: int, data: bytes, _at_ns: int) -> None:
+    def _receive_battery(self, row: int, data: bytes, _at_ns: int) -> None:
+        """Keep a robot's newest battery state. A message that cannot be decoded is ignored."""
         if data:  # otherwise the port has failed
             with suppress(*UNREADABLE):
                 self._batteries[row] = BatteryState.deserialize(data)
 
 
-def _vector(action: Steer | Turn) -> Vector3:
+def _direction_vector(action: Steer | Turn) -> Vector3:
     """Create the vector message (cos u, sin u, z) of a direction u.
 
     z is 1 if the robots should turn on the spot, and 0 if they should drive.
@@ -240,11 +266,11 @@ def _vector(action: Steer | Turn) -> Vector3:
 def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> str:
     """Stop every robot with ten messages within 200 ms, and return a summary.
 
-    As long as some topics have no subscriber, but for at most DISCOVERY_S, further stops are sent
-    to the other robots.
+    If some topics have no subscriber, the function waits for subscribers for up to DISCOVERY_S, and
+    meanwhile sends further stops to the other robots.
 
     Args:
-        section: The fields of the actuator in the spec.
+        section: The actuator's section of the spec.
         setup: The constants of the experiment.
         clock: The clock for times.
         alone: Whether to open the topics exclusively.

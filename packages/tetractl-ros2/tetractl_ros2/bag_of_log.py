@@ -22,14 +22,14 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.log.read.trial_log import TrialLog
-from tetractl_ros2.bag_tables import INSTALL, NEEDS_ROSBAGS
+from tetractl_ros2.bag_tables import INSTALL_HINT, NEEDS_ROSBAGS
 
-FRAME = "world"
-VERSION = 9
+WORLD_FRAME = "world"
+BAG_VERSION = 9
 """The version of the recording's metadata, which ROS 2 Iron and later write."""
 
-Entry = tuple[int, str, str, Any]
-"""When a message was recorded [ns since 1970], its topic, the name of its type, and the message."""
+BagEntry = tuple[int, str, str, Any]
+"""A recorded message: time of recording [ns since 1970], topic, name of the type, and message."""
 
 
 def write_bag(trial: TrialLog, folder: Path) -> int:
@@ -37,7 +37,7 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
 
     Args:
         trial: The trial.
-        folder: The folder to make, with metadata.yaml and one MCAP file.
+        folder: The folder to create, with metadata.yaml and one MCAP file.
 
     Returns:
         The number of messages.
@@ -50,7 +50,7 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise UsageError(NEEDS_ROSBAGS, INSTALL) from None
+        raise UsageError(NEEDS_ROSBAGS, INSTALL_HINT) from None
     if folder.exists():
         raise UsageError(
             f"{printable(str(folder))}: exists already", "choose another name with --out"
@@ -62,7 +62,7 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
     store = get_typestore(Stores.ROS2_HUMBLE)
     entries = sorted(BagMessages(trial, store).entries(), key=lambda entry: entry[0])
     try:
-        with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        with Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
             connections: dict[str, Any] = {}
             for recorded_ns, topic, kind, message in entries:
                 if topic not in connections:
@@ -86,7 +86,12 @@ def topic_part(name: str, index: int) -> str:
 
 
 class BagMessages:
-    """Creates the messages of a trial, with the types in `store`, a type store of rosbags."""
+    """Creates the ROS 2 messages of a trial.
+
+    Args:
+        trial: The trial.
+        store: The type store of rosbags that contains the message types.
+    """
 
     def __init__(self, trial: TrialLog, store: Any) -> None:
         self._trial = trial
@@ -95,10 +100,12 @@ class BagMessages:
         self._metres = setup.metres
         self._radius_m = None if setup.wheel_radius is None else setup.wheel_radius * setup.metres
         parts = [topic_part(name, i) for i, name in enumerate(setup.names)]
-        distinct = len(set(parts)) == len(parts)
-        self._parts = parts if distinct else [f"{part}_{i}" for i, part in enumerate(parts)]
+        are_distinct = len(set(parts)) == len(parts)
+        self._topic_parts = (
+            parts if are_distinct else [f"{part}_{i}" for i, part in enumerate(parts)]
+        )
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[BagEntry]:
         """Yield all messages: targets, transforms, commands, then plans.
 
         They are not sorted by time.
@@ -115,7 +122,7 @@ class BagMessages:
     def _make(self, kind: str, **fields: Any) -> Any:
         return self._types[kind](**fields)
 
-    def _make_header(self, trial_ns: int, frame: str = FRAME) -> Any:
+    def _make_header(self, trial_ns: int, frame: str = WORLD_FRAME) -> Any:
         sec, nanosec = divmod(self._unix_ns(trial_ns), SECOND)
         stamp = self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
         return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
@@ -134,20 +141,20 @@ class BagMessages:
         orientation = self._make_quaternion(heading)
         return self._make("geometry_msgs/msg/Pose", position=point, orientation=orientation)
 
-    def _targets_entry(self) -> Entry:
+    def _targets_entry(self) -> BagEntry:
         targets = self._trial.start.setup.targets
         poses = [self._make_pose(x, y, 0.0) for x, y in targets]
         header = self._make_header(0)
         array = self._make("geometry_msgs/msg/PoseArray", header=header, poses=poses)
         return self._unix_ns(0), "/targets", "geometry_msgs/msg/PoseArray", array
 
-    def _transform_entries(self) -> Iterator[Entry]:
+    def _transform_entries(self) -> Iterator[BagEntry]:
         trial = self._trial
         kind = "tf2_msgs/msg/TFMessage"
         for row, received_ns in enumerate(trial.received_ns):
             transforms = [
                 self._make_transform(part, trial.exposed_ns[row, i], trial.mocap[row, i])
-                for i, part in enumerate(self._parts)
+                for i, part in enumerate(self._topic_parts)
                 if trial.valid[row, i]
             ]
             if transforms:
@@ -167,18 +174,20 @@ class BagMessages:
             transform=transform,
         )
 
-    def _command_entries(self, command: Command) -> Iterator[Entry]:
+    def _command_entries(self, command: Command) -> Iterator[BagEntry]:
         at_ns = self._unix_ns(command.sent_ns)
         header = self._make_header(command.sent_ns)
         direction = command.direction
-        along = (0.0, 0.0) if direction is None else (math.cos(direction), math.sin(direction))
+        direction_xy = (
+            (0.0, 0.0) if direction is None else (math.cos(direction), math.sin(direction))
+        )
         kind = "geometry_msgs/msg/Vector3Stamped"
-        vector = self._make_vector(*along, 0.0)
+        vector = self._make_vector(*direction_xy, 0.0)
         yield at_ns, "/direction", kind, self._make(kind, header=header, vector=vector)
         if command.left is None or command.right is None or self._radius_m is None:
             return
         kind = "geometry_msgs/msg/TwistStamped"
-        for part, left, right in zip(self._parts, command.left, command.right, strict=True):
+        for part, left, right in zip(self._topic_parts, command.left, command.right, strict=True):
             speed_m_s = (left + right) / 2 * self._metres
             turning_rad_s = (right - left) * self._metres / (2 * self._radius_m)
             linear = self._make_vector(speed_m_s, 0.0, 0.0)
@@ -192,13 +201,13 @@ class BagMessages:
                 self._make(kind, header=robot_header, twist=twist),
             )
 
-    def _plan_entries(self) -> Iterator[Entry]:
+    def _plan_entries(self) -> Iterator[BagEntry]:
         kind = "nav_msgs/msg/Path"
         stamped = "geometry_msgs/msg/PoseStamped"
         for step in self._trial.steps:
             at_ns = step.command.sent_ns
             header = self._make_header(at_ns)
-            for i, part in enumerate(self._parts):
+            for i, part in enumerate(self._topic_parts):
                 poses = [
                     self._make(stamped, header=header, pose=self._make_pose(x, y, heading))
                     for x, y, heading in step.plan.path[:, i]

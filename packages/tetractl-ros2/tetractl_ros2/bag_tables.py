@@ -15,26 +15,26 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.lab.cameras.optitrack.natnet import UpAxis, planar_pose
 from tetractl.tools.table.table import Column, Table
-from tetractl_ros2.body_readings import sightings, stamp_ns
+from tetractl_ros2.body_readings import read_sightings, stamp_ns
 
-POSES = {
+POSE_KINDS = {
     "geometry_msgs/msg/PoseStamped": "PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped": "PoseWithCovarianceStamped",
     "nav_msgs/msg/Odometry": "Odometry",
     "tf2_msgs/msg/TFMessage": "TFMessage",
     "motion_capture_tracking_interfaces/msg/NamedPoseArray": "NamedPoseArray",
 }
-"""The kinds of messages with poses."""
-COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-"""The kinds of messages with commands."""
+"""The messages with poses that can be read, each with the name that `read_sightings` uses."""
+COMMAND_KINDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+"""The messages with commands that can be read."""
 MOTION_CAPTURE = "motion_capture_tracking_interfaces/msg"
 NAMED_POSE = "string name\ngeometry_msgs/Pose pose\n"
 NAMED_POSE_ARRAY = "std_msgs/Header header\nNamedPose[] poses\n"
 """Definitions of motion_capture_tracking's messages."""
-STATIC = "/tf_static"
+STATIC_TRANSFORMS_TOPIC = "/tf_static"
 """The topic of frames that never move, which no robot is."""
 NEEDS_ROSBAGS = "reading and writing rosbag2 needs rosbags, which is not installed"
-INSTALL = "pip install './packages/tetractl-ros2[bags]'"
+INSTALL_HINT = "pip install './packages/tetractl-ros2[bags]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +43,11 @@ class BagPose:
 
     Attributes:
         topic: The topic with the pose.
-        robot: The robot.
+        robot: Name of the robot.
         frame: The coordinate frame of the pose.
-        time_ns: The stamp in its header [ns]. Without a stamp, the time of recording.
-        x: Position [m].
-        y: Position [m].
+        time_ns: Time stamp in the pose's header [ns]. Without a stamp, the time of recording.
+        x: Position x in the frame [m].
+        y: Position y in the frame [m].
         heading: Angle, anticlockwise from the frame's x axis [rad].
     """
 
@@ -66,8 +66,8 @@ class BagCommand:
 
     Attributes:
         topic: The topic with the twist.
-        robot: The robot. Empty if the topic's name has no such part.
-        time_ns: The stamp in its header [ns]. Without a stamp, the time of recording.
+        robot: Name of the robot. Empty if the topic's name contains no robot.
+        time_ns: Time stamp in the twist's header [ns]. Without a stamp, the time of recording.
         v: Speed [m/s].
         w: Turning rate [rad/s].
     """
@@ -81,7 +81,12 @@ class BagCommand:
 
 @dataclass(frozen=True, slots=True)
 class BagContents:
-    """The poses and commands of a recording, in the order of recording."""
+    """The contents of a recording, in the order of recording.
+
+    Attributes:
+        poses: The poses of all robots.
+        commands: The commands to all robots.
+    """
 
     poses: tuple[BagPose, ...]
     commands: tuple[BagCommand, ...]
@@ -100,7 +105,7 @@ def read_bag(path: Path) -> BagContents:
     try:
         from rosbags.rosbag2 import Reader, ReaderError
     except ImportError:
-        raise UsageError(NEEDS_ROSBAGS, INSTALL) from None
+        raise UsageError(NEEDS_ROSBAGS, INSTALL_HINT) from None
     if not path.exists():
         raise UsageError(f"{printable(str(path))}: there is no such file or folder")
     poses: list[BagPose] = []
@@ -108,19 +113,23 @@ def read_bag(path: Path) -> BagContents:
     store = _message_store()
     try:
         with Reader(path) as reader:
-            wanted = [o for o in reader.connections if o.msgtype in (*POSES, *COMMANDS)]
-            moving = [o for o in wanted if o.topic != STATIC]
+            readable = [
+                connection
+                for connection in reader.connections
+                if connection.msgtype in (*POSE_KINDS, *COMMAND_KINDS)
+            ]
+            moving = [entry for entry in readable if entry.topic != STATIC_TRANSFORMS_TOPIC]
             for connection, time_ns, data in reader.messages(moving) if moving else ():
                 message = store.deserialize_cdr(data, connection.msgtype)
-                if connection.msgtype in COMMANDS:
+                if connection.msgtype in COMMAND_KINDS:
                     commands.append(_command(connection.topic, time_ns, message))
                 else:
                     poses.extend(_poses(connection.topic, time_ns, message, connection.msgtype))
     except ReaderError as error:
         raise LogError(f"{printable(str(path))}: {printable(str(error))}") from None
     except Exception as error:  # of a library that reads a damaged file, of which nothing is known
-        why = printable(str(error) or type(error).__name__)
-        raise LogError(f"{printable(str(path))}: cannot be read: {why}") from error
+        reason = printable(str(error) or type(error).__name__)
+        raise LogError(f"{printable(str(path))}: cannot be read: {reason}") from error
     return BagContents(tuple(poses), tuple(commands))
 
 
@@ -151,12 +160,12 @@ def _poses(topic: str, time_ns: int, message: Any, kind: str) -> Iterator[BagPos
 
     A pose without a time stamp gets the time at which the message was recorded, `time_ns`.
     """
-    for seen in sightings(POSES[kind], message):
-        planar = planar_pose(seen.rigid, UpAxis.Z)
+    for sighting in read_sightings(POSE_KINDS[kind], message):
+        planar = planar_pose(sighting.rigid, UpAxis.Z)
         if planar is not None:
-            robot = _first_part(topic if seen.body is None else seen.body)
-            at_ns = seen.stamp_ns or time_ns
-            yield BagPose(topic, robot, seen.frame, at_ns, planar.x, planar.y, planar.heading)
+            robot = _first_part(topic if sighting.body is None else sighting.body)
+            at_ns = sighting.stamp_ns or time_ns
+            yield BagPose(topic, robot, sighting.frame, at_ns, planar.x, planar.y, planar.heading)
 
 
 def _first_part(name: str) -> str:
@@ -174,23 +183,30 @@ def pose_table(contents: BagContents, topic: str | None, frame: str | None) -> T
     Raises:
         UsageError: If `topic` or `frame` is needed to choose the poses.
     """
-    poses = [o for o in contents.poses if topic in (None, o.topic) and frame in (None, o.frame)]
+    poses = [
+        pose
+        for pose in contents.poses
+        if topic in (None, pose.topic) and frame in (None, pose.frame)
+    ]
     if not poses:
-        listed = ", ".join(sorted({f"{o.topic} in {o.frame}" for o in contents.poses})) or "none"
+        listed = (
+            ", ".join(sorted({f"{pose.topic} in {pose.frame}" for pose in contents.poses}))
+            or "none"
+        )
         raise UsageError("no such poses", f"the recording has {printable(listed)}")
-    _refuse_several("frame", {o.frame for o in poses}, "--frame")
-    for robot in sorted({o.robot for o in poses}):
-        _refuse_several("topic", {o.topic for o in poses if o.robot == robot}, "--topic")
-    poses = _in_order(poses)
-    begin_ns = begin(contents)
+    _refuse_several("frame", {pose.frame for pose in poses}, "--frame")
+    for robot in sorted({pose.robot for pose in poses}):
+        _refuse_several("topic", {pose.topic for pose in poses if pose.robot == robot}, "--topic")
+    poses = _sort_poses(poses)
+    begin_ns = begin_ns_of(contents)
     return Table(
         "poses",
         (
-            Column("time_s", [(o.time_ns - begin_ns) / SECOND for o in poses]),
-            Column("robot", [o.robot for o in poses]),
-            Column("x_m", [o.x for o in poses]),
-            Column("y_m", [o.y for o in poses]),
-            Column("heading_rad", [o.heading for o in poses]),
+            Column("time_s", [(pose.time_ns - begin_ns) / SECOND for pose in poses]),
+            Column("robot", [pose.robot for pose in poses]),
+            Column("x_m", [pose.x for pose in poses]),
+            Column("y_m", [pose.y for pose in poses]),
+            Column("heading_rad", [pose.heading for pose in poses]),
         ),
     )
 
@@ -201,30 +217,30 @@ def command_table(contents: BagContents) -> Table:
     If no topic names a robot, the column `robot` is left out.
     """
     commands = sorted(contents.commands, key=lambda command: command.time_ns)
-    begin_ns = begin(contents)
+    begin_ns = begin_ns_of(contents)
     columns = [
-        Column("time_s", [(o.time_ns - begin_ns) / SECOND for o in commands]),
-        Column("v_m_s", [o.v for o in commands]),
-        Column("w_rad_s", [o.w for o in commands]),
+        Column("time_s", [(command.time_ns - begin_ns) / SECOND for command in commands]),
+        Column("v_m_s", [command.v for command in commands]),
+        Column("w_rad_s", [command.w for command in commands]),
     ]
-    if any(o.robot for o in commands):
-        columns.insert(1, Column("robot", [o.robot for o in commands]))
+    if any(command.robot for command in commands):
+        columns.insert(1, Column("robot", [command.robot for command in commands]))
     return Table("commands", tuple(columns))
 
 
-def begin(contents: BagContents) -> int:
-    """Return the earliest time of any pose or command of a recording [ns].
+def begin_ns_of(contents: BagContents) -> int:
+    """Find the earliest time of any pose or command in a recording [ns].
 
-    The times in its tables count from it. The recording must not be empty.
+    The times in the recording's tables count from this time. The recording must not be empty.
     """
-    return min(o.time_ns for o in (*contents.poses, *contents.commands))
+    return min(item.time_ns for item in (*contents.poses, *contents.commands))
 
 
-def _in_order(poses: Sequence[BagPose]) -> list[BagPose]:
+def _sort_poses(poses: Sequence[BagPose]) -> list[BagPose]:
     """Sort poses by time. If a robot has several poses at one time, only the first is kept."""
     seen = set[tuple[str, int]]()
     ordered: list[BagPose] = []
-    for pose in sorted(poses, key=lambda o: o.time_ns):
+    for pose in sorted(poses, key=lambda pose: pose.time_ns):
         key = (pose.robot, pose.time_ns)
         if key not in seen:
             seen.add(key)
@@ -232,10 +248,10 @@ def _in_order(poses: Sequence[BagPose]) -> list[BagPose]:
     return ordered
 
 
-def _refuse_several(what: str, names: set[str], name_option: str) -> None:
+def _refuse_several(quantity: str, names: set[str], name_option: str) -> None:
     if len(names) > 1:
         listed = printable(", ".join(sorted(names)))
         raise UsageError(
-            f"the recording has poses of a robot in more than one {what}: {listed}",
+            f"the recording has poses of a robot in more than one {quantity}: {listed}",
             f"add {name_option}",
         )

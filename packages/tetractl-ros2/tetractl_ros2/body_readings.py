@@ -1,4 +1,4 @@
-"""Reads bodies from a ROS 2 message with poses: their places, coordinate frames and times."""
+"""Reads the bodies in a ROS 2 message with poses: their poses, coordinate frames and times."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,13 +9,13 @@ from tetractl.lab.cameras.optitrack.natnet import RigidBody
 
 @dataclass(frozen=True, slots=True)
 class BodySighting:
-    """One body in a message with poses.
+    """The pose of one body in a ROS 2 message.
 
     Attributes:
         body: Name of the body in the message. None if the topic says which body it is.
         frame: The coordinate frame.
         stamp_ns: Time of the pose, on the sender's clock [ns]. 0 if the message states none.
-        rigid: Position [m] and orientation.
+        rigid: Position [m] and orientation of the body.
     """
 
     body: str | None
@@ -24,8 +24,8 @@ class BodySighting:
     rigid: RigidBody
 
 
-def sightings(kind: str, message: Any) -> list[BodySighting]:
-    """Read the bodies in a message, in its order.
+def read_sightings(kind: str, message: Any) -> list[BodySighting]:
+    """Read the bodies in a ROS 2 message with poses, in the order of the message.
 
     Args:
         kind: The message's type in ROS 2, without its package, such as PoseStamped.

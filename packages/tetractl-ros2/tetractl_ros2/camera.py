@@ -24,47 +24,50 @@ from tetractl.lab.cameras.stamp_clock import StampClock
 from tetractl.lab.serial_port import UNREADABLE, PortFactory
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import drained
-from tetractl_ros2.body_readings import BodySighting, sightings, without_slash
+from tetractl_ros2.body_readings import BodySighting, read_sightings, without_slash
 from tetractl_ros2.frame_group import FrameGroup, Readings, RobotReading
 from tetractl_ros2.ros2_messages import Bool
 from tetractl_ros2.section import Ros2CameraSection
 from tetractl_ros2.topic_port import TopicPort, ports_of
-from tetractl_ros2.topics import POSES, emulated_topic, pose_topics
+from tetractl_ros2.topics import POSE_MESSAGES, emulated_topic, pose_topics
 
-FIRST_S = 5.0
+FIRST_POSES_S = 5.0
 """Maximum time until every robot has a pose [s]. The nodes have to find each other first."""
 FRAMES_WAITING_MAX = 1000
 """Maximum number of frames that wait to be read."""
-SAME_CLOCK_NS = SECOND // 2
+SAME_CLOCK_AGE_MAX_NS = SECOND // 2
 """Maximum age of a quick message's stamp on this computer's clock, if the clocks agree [ns]."""
-LATENCY_OFF_NS = SECOND // 50
-"""Difference between this age and `latency` above which `check` warns [ns]."""
+LATENCY_ERROR_NS = SECOND // 50
+"""Maximum difference between this age and `latency` [ns]. Above it, `check` warns."""
 UNSEEN_NS = SECOND // 10
-"""Age from which on a robot's last pose no longer counts, relative to the newest pose [ns].
+"""Maximum age of a robot's last pose in a frame, relative to the newest pose [ns].
 
 No message says that a body is hidden: the node sends no more poses of this body.
 """
 BODIES_MAX = 20
 """Maximum number of streamed bodies that a message lists."""
 NAME_MAX = 60
-"""Maximum number of characters shown of a name that any node may choose."""
-HINT = "is the ROS node running, in the same ROS domain, and does it publish this topic?"
+"""Maximum number of characters of a node's name in a message."""
+NODE_HINT = "is the ROS node running, in the same ROS domain, and does it publish this topic?"
 
 
 class Ros2Camera:
-    """Tracks the setup's robots by their poses in a ROS 2 graph.
+    """The camera that tracks robots by their poses in a ROS 2 graph.
 
-    The class implements `tetractl.core.protocols.Camera`. Each topic has a thread that receives
-    messages. The threads process messages while they hold `_lock`, and `check` reads the results in
-    the same way.
+    The class implements `tetractl.core.protocols.Camera`. Each topic has a thread that receives and
+    processes messages. The threads and `check` hold `_lock` while they use the results.
 
     Args:
         section: The camera's section of the spec.
-        setup: The robots.
+        setup: The constants of the experiment.
         clock: The run's clock.
-        wake: Called after each frame.
+        wake: Called after each message.
         ports: Creates ports instead of the default ones, for example ports in memory.
         unix_ns: Returns the time since 1970 [ns], to compare stamps with.
+
+    Attributes:
+        section: The camera's section of the spec.
+        damaged: Number of messages that could not be decoded.
     """
 
     def __init__(
@@ -84,10 +87,10 @@ class Ros2Camera:
         self._unix_ns = unix_ns
         self._lock = threading.Lock()
         robots = [entry(section.robots, name) for name in setup.names]
-        self._rows = {without_slash(robot.body): row for row, robot in enumerate(robots)}
-        self._offsets = [robot.heading_offset for robot in robots]
+        self._row_by_body = {without_slash(robot.body): row for row, robot in enumerate(robots)}
+        self._heading_offsets = [robot.heading_offset for robot in robots]
         self._placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
-        self._message = POSES[section.message]
+        self._message = POSE_MESSAGES[section.message]
         self._is_one_message = section.message == "NamedPoseArray"
         self._untracked: dict[int, Pose | None] = {}
         """Readings of the robots that a message does not contain: they are not tracked.
@@ -96,22 +99,29 @@ class Ros2Camera:
         """
         if self._is_one_message:
             self._untracked = dict.fromkeys(range(len(robots)))
-        self._group = FrameGroup(len(robots))
-        self._bodies = set[str]()  # names that were streamed
-        self._frames_seen: dict[int, str] = {}  # other frames in which robots were shown, by row
+        self._frame_group = FrameGroup(len(robots))
+        self._streamed_bodies = set[str]()  # names of the streamed bodies
+        self._wrong_frame_by_row: dict[
+            int, str
+        ] = {}  # other frames in which robots were shown, by row
         self._first_damaged = ""
         self._has_unstamped = False
         self._is_emulated = False
-        self._number = 0
+        self._frame_count = 0
         self._newest_ns = -1
-        self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
+        self._waiting_frames = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
         topics = pose_topics(section, setup)
         self._clocks = [StampClock() for _ in topics]
         marker = emulated_topic()
         make_port = ports or ports_of([*topics, marker])
         self._ports = [
             make_port(
-                topic.address(section.domain), 0, topic.name, clock, partial(self._receive, i), HINT
+                topic.address(section.domain),
+                0,
+                topic.name,
+                clock,
+                partial(self._receive, i),
+                NODE_HINT,
             )
             for i, topic in enumerate(topics)
         ]
@@ -122,7 +132,7 @@ class Ros2Camera:
     def __enter__(self) -> Self:
         """Subscribe to the topics, and wait until every robot has a pose.
 
-        If only some robots have a pose after FIRST_S, the method returns anyway.
+        If only some robots have a pose after FIRST_POSES_S, the method returns anyway.
 
         Raises:
             AbortError: If no pose at all has arrived by then, or if a topic cannot be opened.
@@ -130,8 +140,8 @@ class Ros2Camera:
         try:
             for port in (*self._ports, self._marker):
                 port.open()
-            wait_for(self._clock, self._has_all, FIRST_S)
-            if self._number == 0:
+            wait_for(self._clock, self._has_all_poses, FIRST_POSES_S)
+            if self._frame_count == 0:
                 raise self._explain_silence()
         except BaseException:
             self._close()
@@ -144,7 +154,7 @@ class Ros2Camera:
     def check(self) -> Health:
         """Report robots without poses, crowded topics, wrong time stamps and an emulated tracker.
 
-        The first two are problems, and wrong time stamps are warnings.
+        Robots without poses and crowded topics are problems. Wrong time stamps are warnings.
         """
         with self._lock:
             problems = (*self._describe_missing(), *self._describe_crowded())
@@ -155,10 +165,11 @@ class Ros2Camera:
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame since the last call, oldest first."""
-        return drained(self._waiting)
+        return drained(self._waiting_frames)
 
-    def _has_all(self) -> bool:
-        return all(reading.pose is not None for reading in self._group.last)
+    def _has_all_poses(self) -> bool:
+        """Check whether each robot has a pose in its last reading."""
+        return all(reading.pose is not None for reading in self._frame_group.last)
 
     def _explain_silence(self) -> AbortError:
         """Create the error for a tracker that has sent no usable pose.
@@ -168,7 +179,7 @@ class Ros2Camera:
         """
         failure = next((port.failure for port in self._ports if port.failure), None)
         if failure is not None:
-            return AbortError(failure, HINT)
+            return AbortError(failure, NODE_HINT)
         if self._first_damaged:
             summary = (
                 f"{self.damaged} messages came on {self.section.address}, but none could be read"
@@ -177,20 +188,20 @@ class Ros2Camera:
                 f"{summary}; error of the first: {self._first_damaged}", "is `message` right?"
             )
         missing = self._describe_missing()
-        if self._frames_seen:
+        if self._wrong_frame_by_row:
             return AbortError("; ".join(missing), "is `frame` of the camera right?")
-        return AbortError(missing[0] if missing else "no pose came", HINT)
+        return AbortError(missing[0] if missing else "no pose came", NODE_HINT)
 
     def _describe_missing(self) -> tuple[str, ...]:
         """Describe each robot that has no pose yet, in the setup's order, with the likely cause."""
         lines: list[str] = []
         for row, (name, reading) in enumerate(
-            zip(self._setup.names, self._group.last, strict=True)
+            zip(self._setup.names, self._frame_group.last, strict=True)
         ):
             if reading.pose is not None:
                 continue
             body = entry(self.section.robots, name).body
-            other_frame = self._frames_seen.get(row)
+            other_frame = self._wrong_frame_by_row.get(row)
             if other_frame is not None:
                 frame_text = printable(other_frame, NAME_MAX) or '""'
                 lines.append(
@@ -205,10 +216,11 @@ class Ros2Camera:
         return tuple(lines)
 
     def _list_bodies(self) -> str:
-        names = sorted(self._bodies)
+        """List the names of the streamed bodies, at most BODIES_MAX, for a message."""
+        names = sorted(self._streamed_bodies)
         listed = ", ".join(printable(name, NAME_MAX) for name in names[:BODIES_MAX]) or "none"
-        unlisted = len(names) - BODIES_MAX
-        return f"{listed} and {unlisted} more" if unlisted > 0 else listed
+        n_unlisted = len(names) - BODIES_MAX
+        return f"{listed} and {n_unlisted} more" if n_unlisted > 0 else listed
 
     def _describe_crowded(self) -> tuple[str, ...]:
         """Describe each topic on which several nodes publish poses, except /tf.
@@ -218,9 +230,9 @@ class Ros2Camera:
         if self.section.message == "TFMessage":
             return ()
         return tuple(
-            f"{port.end.partners} ROS nodes publish {port.end.topic.name}: stop all but one"
+            f"{port.end.n_partners} ROS nodes publish {port.end.topic.name}: stop all but one"
             for port in self._ports
-            if isinstance(port, TopicPort) and port.end.partners > 1
+            if isinstance(port, TopicPort) and port.end.n_partners > 1
         )
 
     def _quickest_age_ns(self) -> int | None:
@@ -229,13 +241,14 @@ class Ros2Camera:
         The result is None if no stamp has come, if a message had no stamp, or if the tracker is
         emulated.
         """
-        gaps_ns = [clock.quickest_ns for clock in self._clocks]
-        known_gaps = [gap for gap in gaps_ns if gap is not None]
-        if not known_gaps or self._is_emulated or self._has_unstamped:
+        offsets_ns = [clock.quickest_ns for clock in self._clocks]
+        known_offsets_ns = [offset_ns for offset_ns in offsets_ns if offset_ns is not None]
+        if not known_offsets_ns or self._is_emulated or self._has_unstamped:
             return None
-        return max(known_gaps) + self._unix_ns() - self._clock.now()
+        return max(known_offsets_ns) + self._unix_ns() - self._clock.now()
 
     def _stamp_warnings(self) -> Iterator[str]:
+        """Yield a warning about missing time stamps, and about stamps with a wrong age."""
         latency_s = self.section.latency
         if self._has_unstamped:
             yield (
@@ -246,13 +259,13 @@ class Ros2Camera:
         if age_ns is None:
             return
         age_s = age_ns / SECOND
-        if not 0 <= age_ns <= SAME_CLOCK_NS:
+        if not 0 <= age_ns <= SAME_CLOCK_AGE_MAX_NS:
             yield (
                 f"time stamps are {age_s:.3f} s old on arrival, so the sender's clock "
                 f"differs from this computer's clock, and `latency`, {latency_s:g} s, cannot "
                 "be checked"
             )
-        elif abs(age_ns - latency_s * SECOND) > LATENCY_OFF_NS:
+        elif abs(age_ns - latency_s * SECOND) > LATENCY_ERROR_NS:
             yield (
                 f"time stamps are {age_s:.3f} s old on arrival, but `latency` says "
                 f"{latency_s:g} s: if the clocks of both computers are synchronised, set "
@@ -260,6 +273,7 @@ class Ros2Camera:
             )
 
     def _receive_marker(self, data: bytes, _at_ns: int) -> None:
+        """Process the message with which an emulated tracker reports that it is not real."""
         if data:  # otherwise the port has failed
             with suppress(*UNREADABLE):
                 self._is_emulated = self._is_emulated or Bool.deserialize(data).data
@@ -274,31 +288,35 @@ class Ros2Camera:
         self._wake()
 
     def _queue_failure(self, topic: int, at_ns: int) -> None:
+        """Queue a frame without poses that reports the failure of a topic's port."""
         fault = self._ports[topic].failure or f"reading the topic {self.section.address} failed"
-        self._number += 1
+        self._frame_count += 1
         no_poses = (None,) * len(self._setup.names)
-        self._waiting.append(CameraFrame(self._number, at_ns, at_ns, no_poses, fault=fault))
+        self._waiting_frames.append(
+            CameraFrame(self._frame_count, at_ns, at_ns, no_poses, fault=fault)
+        )
 
     def _read_message(self, topic: int, data: bytes, at_ns: int) -> None:
+        """Decode a message of a topic, and queue a frame once all its poses have arrived."""
         try:
-            bodies = sightings(self.section.message, self._message.deserialize(data))
+            body_sightings = read_sightings(self.section.message, self._message.deserialize(data))
         except UNREADABLE as error:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        by_stamp: dict[int, dict[int, Pose | None]] = {}
-        for sighting in bodies:
+        poses_by_stamp: dict[int, dict[int, Pose | None]] = {}
+        for sighting in body_sightings:
             row = self._find_row(topic, sighting)
             if row is not None:
-                pose = self._placement.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
-                by_stamp.setdefault(max(0, sighting.stamp_ns), {})[row] = pose
+                pose = self._placement.pose(sighting.rigid, UpAxis.Z, self._heading_offsets[row])
+                poses_by_stamp.setdefault(max(0, sighting.stamp_ns), {})[row] = pose
         complete: list[Readings] = []
-        for stamp_ns in sorted(by_stamp):
+        for stamp_ns in sorted(poses_by_stamp):
             exposed_ns = self._exposed_ns(topic, stamp_ns, at_ns)
-            poses_by_row = self._untracked | by_stamp[stamp_ns]
+            poses_by_row = self._untracked | poses_by_stamp[stamp_ns]
             readings = {row: RobotReading(pose, exposed_ns) for row, pose in poses_by_row.items()}
-            complete += self._group.add(stamp_ns or at_ns, readings)
-        if complete:  # what came in one message is one frame, also with several stamps
+            complete += self._frame_group.add(stamp_ns or at_ns, readings)
+        if complete:  # one message gives one frame, even if its poses have several stamps
             self._queue_frame(complete[-1], at_ns)
 
     def _find_row(self, topic: int, sighting: BodySighting) -> int | None:
@@ -308,18 +326,22 @@ class Ros2Camera:
         section's.
         """
         if sighting.body is not None:
-            self._bodies.add(sighting.body)
-        row = topic if sighting.body is None else self._rows.get(sighting.body)
+            self._streamed_bodies.add(sighting.body)
+        row = topic if sighting.body is None else self._row_by_body.get(sighting.body)
         if row is not None and sighting.frame != without_slash(self.section.frame):
-            self._frames_seen[row] = sighting.frame
+            self._wrong_frame_by_row[row] = sighting.frame
             return None
         return row
 
     def _exposed_ns(self, topic: int, stamp_ns: int, at_ns: int) -> int:
-        """Compute when the bodies in a message with this stamp were seen, by our clock [ns].
+        """Compute when the tracker saw the bodies in a message, by our clock [ns].
 
-        A stamp is used only once, even if several bodies have it. A stamp of 0 means that there is
-        none.
+        To be called once for each stamp of a message, even if several bodies have the stamp.
+
+        Args:
+            topic: Index of the message's topic.
+            stamp_ns: Time stamp on the sender's clock [ns]. 0 if the message has no stamp.
+            at_ns: When the message arrived, by our clock [ns].
         """
         late_ns = 0
         if stamp_ns > 0:
@@ -338,14 +360,16 @@ class Ros2Camera:
         if newest_ns <= self._newest_ns:
             return
         self._newest_ns = newest_ns
-        self._number += 1
-        since_ns = newest_ns - UNSEEN_NS
-        poses = tuple(o.pose if o.exposed_ns >= since_ns else None for o in readings)
+        self._frame_count += 1
+        oldest_ns = newest_ns - UNSEEN_NS
+        poses = tuple(
+            reading.pose if reading.exposed_ns >= oldest_ns else None for reading in readings
+        )
         exposure_times = (
             () if self._is_one_message else tuple(reading.exposed_ns for reading in readings)
         )
-        self._waiting.append(
-            CameraFrame(self._number, newest_ns, at_ns, poses, exposed_ns=exposure_times)
+        self._waiting_frames.append(
+            CameraFrame(self._frame_count, newest_ns, at_ns, poses, exposed_ns=exposure_times)
         )
 
     def _close(self) -> None:

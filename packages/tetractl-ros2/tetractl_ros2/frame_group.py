@@ -1,4 +1,4 @@
-"""Joins poses that arrive one by one to frames. Poses with the same time stamp belong together.
+"""Combines poses that arrive one by one to frames. Poses with the same time stamp belong together.
 
 A motion-capture node sends one message for each body, all with the same stamp. A frame is complete
 once all robots of the previous frames have arrived. Robots that localise themselves have different
@@ -17,14 +17,19 @@ from tetractl.core.poses import Pose
 
 @dataclass(frozen=True, slots=True)
 class RobotReading:
-    """The pose of a robot, or None if it is not tracked, with the time of its exposure [ns]."""
+    """A robot's pose and the time of its exposure.
+
+    Attributes:
+        pose: The pose. None if the robot is not tracked.
+        exposed_ns: Time of the exposure [ns].
+    """
 
     pose: Pose | None
     exposed_ns: int
 
 
-NOTHING = RobotReading(None, 0)
-"""Reading of a robot before its first reading."""
+NO_READING = RobotReading(None, 0)
+"""Stands for a robot's reading before the first reading arrives."""
 Readings = tuple[RobotReading, ...]
 """The last readings of all robots, in the setup's order."""
 
@@ -32,18 +37,21 @@ Readings = tuple[RobotReading, ...]
 class FrameGroup:
     """Collects the readings of N robots until a frame is complete.
 
-    A pose that arrives after its frame was completed is shown in the next frame. From then on, its
-    robot is waited for. If such a robot is missing, the frame is completed when a pose with another
-    stamp arrives. The robot is then no longer waited for.
+    If a pose arrives after its frame was completed, it appears in the next frame, and later frames
+    wait for its robot. If an awaited robot is missing, the frame is completed when a pose with
+    another stamp arrives. Later frames then no longer wait for the missing robot.
+
+    Args:
+        n_robots: Number of robots.
     """
 
-    def __init__(self, robots: int) -> None:
-        self._last = [NOTHING] * robots
-        self._in_step = set[int]()  # robots that a frame waits for
+    def __init__(self, n_robots: int) -> None:
+        self._last = [NO_READING] * n_robots
+        self._awaited = set[int]()  # robots for which a frame waits
         self._pending = set[int]()  # robots of the frame that is being collected
         self._pending_stamp = -1
-        self._closed = set[int]()  # robots of the last complete frame
-        self._closed_stamp = -1
+        self._completed = set[int]()  # robots of the last complete frame
+        self._completed_stamp = -1
 
     @property
     def last(self) -> Readings:
@@ -54,7 +62,7 @@ class FrameGroup:
         """Add readings that have the same time stamp.
 
         Args:
-            stamp: The stamp in their header, on any clock.
+            stamp: The time stamp of the readings, on any clock.
             readings: The readings, by the robots' indices in the setup.
 
         Returns:
@@ -62,30 +70,30 @@ class FrameGroup:
         """
         complete: list[Readings] = []
         if self._pending and stamp != self._pending_stamp:
-            complete.append(self._close())
+            complete.append(self._complete())
         for robot, reading in readings.items():
             if reading.exposed_ns >= self._last[robot].exposed_ns:
                 self._last[robot] = reading
-        if stamp == self._closed_stamp:
-            self._in_step = self._in_step | self._closed | set(readings)
+        if stamp == self._completed_stamp:
+            self._awaited = self._awaited | self._completed | set(readings)
             return complete
         self._pending |= set(readings)
         self._pending_stamp = stamp
-        waits = self._pending & self._in_step and not self._in_step <= self._pending
-        if not waits:
-            complete.append(self._close())
+        must_wait = self._pending & self._awaited and not self._awaited <= self._pending
+        if not must_wait:
+            complete.append(self._complete())
         return complete
 
-    def _close(self) -> Readings:
+    def _complete(self) -> Readings:
         """Complete the pending frame, and return each robot's last reading, in the setup's order.
 
         Robots that are not in the pending frame keep their older reading.
         """
         if len(self._pending) > 1:
-            self._in_step = self._pending
-        elif self._pending <= self._in_step:
-            self._in_step = set()
-        self._closed = self._pending
-        self._closed_stamp = self._pending_stamp
+            self._awaited = self._pending
+        elif self._pending <= self._awaited:
+            self._awaited = set()
+        self._completed = self._pending
+        self._completed_stamp = self._pending_stamp
         self._pending = set()
         return self.last

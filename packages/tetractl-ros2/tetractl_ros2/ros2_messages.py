@@ -16,7 +16,7 @@ from cyclonedds.idl import IdlStruct, types
 from cyclonedds.idl.annotations import final
 
 Covariance = types.array[types.float64, 36]
-UNKNOWN = float("nan")
+NAN = float("nan")
 
 
 def _empty() -> Any:
@@ -211,13 +211,13 @@ class BatteryState(IdlStruct, typename="sensor_msgs::msg::dds_::BatteryState_"):
     """The state of a battery: voltage [V] and charge as a fraction (`percentage`), or NaN."""
 
     header: Header = field(default_factory=Header)
-    voltage: types.float32 = UNKNOWN
-    temperature: types.float32 = UNKNOWN
-    current: types.float32 = UNKNOWN
-    charge: types.float32 = UNKNOWN
-    capacity: types.float32 = UNKNOWN
-    design_capacity: types.float32 = UNKNOWN
-    percentage: types.float32 = UNKNOWN
+    voltage: types.float32 = NAN
+    temperature: types.float32 = NAN
+    current: types.float32 = NAN
+    charge: types.float32 = NAN
+    capacity: types.float32 = NAN
+    design_capacity: types.float32 = NAN
+    percentage: types.float32 = NAN
     power_supply_status: types.uint8 = 0
     power_supply_health: types.uint8 = 0
     power_supply_technology: types.uint8 = 0

@@ -22,12 +22,12 @@ from tetractl.spec.lab_section import (
 )
 from tetractl.spec.yaml.problems import Loc
 
-BODY = "{body}"
+BODY_PLACEHOLDER = "{body}"
 """Placeholder in the name of a topic for each robot's `body`.
 
 With it, each robot has its own topic.
 """
-NAME = re.compile(r"(/[A-Za-z_{][A-Za-z0-9_{}]*)+")
+TOPIC_NAME = re.compile(r"(/[A-Za-z_{][A-Za-z0-9_{}]*)+")
 DIRECTION = "Vector3Stamped"
 """The message of robots that steer themselves by the common direction."""
 RATE_PER_WATCHDOG = 3
@@ -44,17 +44,18 @@ USUAL_TOPICS: dict[str, str] = {
 """The topic of each kind of poses, unless the section names another."""
 
 
-def _full_name(topic: str) -> str:
-    """Check that a text is the full name of a topic, and return it.
+def _require_full_name(topic: str) -> str:
+    """Check that a string is the full name of a topic, and return the string.
 
-    Otherwise raise `ValueError`.
+    Raises:
+        ValueError: If it is not a full name.
     """
-    if NAME.fullmatch(topic) is None:
+    if TOPIC_NAME.fullmatch(topic) is None:
         raise ValueError("must be a full topic name, such as /green/cmd_vel")
     return topic
 
 
-TopicName = Annotated[str, Field(max_length=200), AfterValidator(_full_name)]
+TopicName = Annotated[str, Field(max_length=200), AfterValidator(_require_full_name)]
 
 
 class BodyOfRobot(RobotPart):
@@ -94,7 +95,7 @@ class Ros2CameraSection(CameraSection):
 
     @property
     def topic_pattern(self) -> str:
-        """The name of the topic, or the usual one of the message if the spec gives none.
+        """The name of the topic with the poses, by default the usual topic of the message.
 
         If each body has its own topic, the name contains {body}.
         """
@@ -106,26 +107,29 @@ class Ros2CameraSection(CameraSection):
         return f"ros2://{self.domain}{self.topic_pattern}"
 
     def topics(self, setup: Setup) -> tuple[str, ...]:
-        """Return the names of the topics: one for all robots, or one for each, in their order."""
+        """Return the names of the topics: one for all robots, or one for each robot in order."""
         pattern = self.topic_pattern
-        if BODY not in pattern:
+        if BODY_PLACEHOLDER not in pattern:
             return (pattern,)
         bodies = [entry(self.robots, name).body for name in setup.names]
-        return tuple(pattern.replace(BODY, body) for body in bodies)
+        return tuple(pattern.replace(BODY_PLACEHOLDER, body) for body in bodies)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the place and a message for each problem with robots, bodies and topics."""
         yield from mismatches(self.robots, setup.names, ("body",))
         pattern = self.topic_pattern
-        if self.message in ("PoseStamped", "Odometry") and BODY not in pattern:
+        if self.message in ("PoseStamped", "Odometry") and BODY_PLACEHOLDER not in pattern:
             yield (
                 ("topic",),
-                f"must contain {BODY}, because a {self.message} does not say which robot it shows",
+                (
+                    f"must contain {BODY_PLACEHOLDER}, because a {self.message} does not say "
+                    "which robot it shows"
+                ),
             )
-        if pattern.replace(BODY, "").count("{"):
-            yield ("topic",), f"may contain {BODY}, but no other braces"
+        if pattern.replace(BODY_PLACEHOLDER, "").count("{"):
+            yield ("topic",), f"may contain {BODY_PLACEHOLDER}, but no other braces"
         for i, robot in enumerate(self.robots):
-            if BODY in pattern and NAME.fullmatch(f"/{robot.body}") is None:
+            if BODY_PLACEHOLDER in pattern and TOPIC_NAME.fullmatch(f"/{robot.body}") is None:
                 yield (
                     ("robots", i, "body"),
                     "must consist of letters, digits and _, because it is part of a topic's name",
@@ -133,8 +137,8 @@ class Ros2CameraSection(CameraSection):
 
     def bounds(self) -> dict[str, str]:
         """Return the topic and the frame as {name: text}, for display."""
-        where = f"{self.message} on {self.topic_pattern}, ROS domain {self.domain}"
-        return {"poses": f"{where}, in frame {self.frame}"}
+        source_text = f"{self.message} on {self.topic_pattern}, ROS domain {self.domain}"
+        return {"poses": f"{source_text}, in frame {self.frame}"}
 
     def heading_offset(self, name: str) -> float:
         """Return the angle added to the heading of a robot's body [rad]."""
@@ -185,11 +189,11 @@ class Ros2Section(SpeedSection):
                     yield ("robots", i, key), "must be a full topic name, such as /green/cmd_vel"
         if self.stops_after is None:
             if math.isfinite(setup.watchdog_s):
-                text = (
+                message = (
                     "is missing, although wheels.watchdog says that the robots stop "
                     f"after {setup.watchdog_s:g} s"
                 )
-                yield ("stops_after",), text
+                yield ("stops_after",), message
             return
         if setup.watchdog_s > self.stops_after:
             yield (
@@ -207,14 +211,14 @@ class Ros2Section(SpeedSection):
             )
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield an error if robots that steer themselves would use other axes than the spec.
+        """Yield an error if robots that steer themselves would use different axes from the spec.
 
-        This is so if the camera is of type ros2 and its `rotation` is not 0.
+        This is the case if the camera is of type ros2 and its `rotation` is not 0.
         """
-        rotated = isinstance(camera, Ros2CameraSection) and camera.rotation != 0
-        if self.message == DIRECTION and rotated:
-            text = "sends directions in the spec's axes, so camera.rotation must be 0"
-            yield ("message",), text
+        is_rotated = isinstance(camera, Ros2CameraSection) and camera.rotation != 0
+        if self.message == DIRECTION and is_rotated:
+            message = "sends directions in the spec's axes, so camera.rotation must be 0"
+            yield ("message",), message
 
     def calibrate(
         self,
@@ -237,11 +241,11 @@ class Ros2Section(SpeedSection):
     def bounds(self) -> dict[str, str]:
         """Return topics, rate, watchdog and maximum wheel speed as {name: text}, for display."""
         topics = ", ".join(robot.topic for robot in self.robots)
-        ends = (
+        timeout_text = (
             "never by themselves" if self.stops_after is None else f"after {self.stops_after:g} s"
         )
         return {
             "robots": f"{topics} in ROS domain {self.domain}, {self.rate:g} commands a second each",
-            "robots without commands stop": ends,
+            "robots without commands stop": timeout_text,
             "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
         }

@@ -1,4 +1,4 @@
-"""ROS 2 topics that are used like ports. This process joins the ROS 2 graph as a DDS participant.
+"""Lets devices use ROS 2 topics like ports. This process joins the ROS 2 graph through DDS.
 
 ROS 2 sends the topic `/cmd_vel` as the DDS topic `rt/cmd_vel`. A `Topic` says which messages a
 topic carries, and with which quality of service (QoS). A `TopicEnd` publishes on a topic, or
@@ -45,7 +45,7 @@ from tetractl.lab.udp_port import lock_address
 
 SCHEME = "ros2://"
 """Beginning of a port's name: ros2://DOMAIN/TOPIC."""
-PREFIX = "rt"
+DDS_PREFIX = "rt"
 """Prefix that ROS 2 adds to the name of a topic in DDS."""
 DISCOVERY_S = 3.0
 """Maximum time to wait for the other nodes of a topic [s]. Nodes on one network find each other
@@ -71,8 +71,10 @@ _participants: WeakValueDictionary[int, DomainParticipant] = WeakValueDictionary
 _participants_lock = threading.Lock()
 
 
-def participant(domain: int) -> DomainParticipant:
-    """Return this process's participant of a ROS domain. It leaves the graph when it is unused.
+def join_domain(domain: int) -> DomainParticipant:
+    """Join a ROS domain, and return this process's DDS participant in the domain.
+
+    All users in this process share the participant. It leaves the graph when nobody uses it.
 
     Raises:
         AbortError: If DDS cannot open its sockets.
@@ -96,9 +98,9 @@ class Topic:
     """A topic of a ROS 2 graph, and how this process uses it.
 
     Attributes:
-        name: Its name in ROS 2, such as `/green/cmd_vel`.
-        message: The class of its messages, one of `ros2_messages`.
-        publishes: Whether this process publishes on it. If not, the process subscribes.
+        name: Name of the topic in ROS 2, such as `/green/cmd_vel`.
+        message: The class of the topic's messages, from `ros2_messages`.
+        publishes: Whether this process publishes on the topic. If not, the process subscribes.
         latched: Whether a later subscriber still receives the last message (QoS transient local).
     """
 
@@ -113,11 +115,11 @@ class Topic:
 
     @property
     def qos(self) -> Qos:
-        """The quality of service (QoS).
+        """The quality of service (QoS) of this process's publisher or subscription.
 
-        A publisher is reliable, so that it reaches subscribers of both kinds. It keeps only its
-        last message, so that an old command is never sent again. A subscriber asks for best effort,
-        so that it receives from publishers of both kinds.
+        A publisher is reliable, so that it reaches reliable and best-effort subscribers. It keeps
+        only its last message, so that an old command is never sent again. A subscription asks for
+        best effort, so that it receives from reliable and best-effort publishers.
         """
         durability = (
             Policy.Durability.TransientLocal if self.latched else Policy.Durability.Volatile
@@ -133,7 +135,15 @@ class Topic:
 
 
 class TopicEnd:
-    """An open publisher or subscription of this process, for a topic in a domain."""
+    """A publisher or subscription of this process for a topic in a ROS domain.
+
+    Args:
+        topic: The topic.
+        domain: The ROS domain.
+
+    Attributes:
+        topic: The topic.
+    """
 
     def __init__(self, topic: Topic, domain: int) -> None:
         self.topic = topic
@@ -143,14 +153,14 @@ class TopicEnd:
         self._arrivals: WaitSet | None = None
 
     def open(self) -> None:
-        """Announce the publisher or subscription to the graph.
+        """Announce the publisher or subscription to the ROS 2 graph.
 
         Raises:
-            AbortError: If that fails.
+            AbortError: If DDS rejects the topic, for example because of its name.
         """
-        joined = participant(self._domain)
+        joined = join_domain(self._domain)
         try:
-            dds_topic = DdsTopic(joined, PREFIX + self.topic.name, self.topic.message)
+            dds_topic = DdsTopic(joined, DDS_PREFIX + self.topic.name, self.topic.message)
             if self.topic.publishes:
                 self._writer = DataWriter(joined, dds_topic, qos=self.topic.qos)
             else:
@@ -182,9 +192,11 @@ class TopicEnd:
         self._writer.write(self.topic.message.deserialize(data))
 
     def wait(self) -> list[bytes]:
-        """Wait for messages, for at most WAIT_NS, and return the bytes of each.
+        """Wait for messages for at most WAIT_NS.
 
-        A message that cannot be decoded is returned as UNDECODABLE.
+        Returns:
+            The bytes of each message that has arrived. A message that cannot be decoded is returned
+            as UNDECODABLE. The list is empty if the subscription is not open.
         """
         arrivals = self._arrivals
         reader = self._reader
@@ -194,7 +206,7 @@ class TopicEnd:
         messages: list[bytes] = []
         for _ in range(MESSAGES_MAX):
             try:
-                samples = reader.take(1)  # only one, because a message that is no good loses all
+                samples = reader.take(1)  # one by one: an undecodable message loses its batch
             except UNREADABLE:
                 messages.append(UNDECODABLE)
                 continue
@@ -204,23 +216,43 @@ class TopicEnd:
         return messages
 
     @property
-    def partners(self) -> int:
-        """Number of publishers or subscribers at the topic's other end. 0 if it is not open."""
+    def n_partners(self) -> int:
+        """Number of subscribers or publishers at the topic's other end. 0 if it is not open."""
         if self._writer is not None:
             return len(self._writer.get_matched_subscriptions())
         return 0 if self._reader is None else len(self._reader.get_matched_publications())
 
-    def rivals(self) -> int:
+    def count_other_publishers(self) -> int:
         """Count the other publishers of the topic in the graph, in this or any other process."""
-        name = PREFIX + self.topic.name
-        own = None if self._writer is None else self._writer.guid
-        reader = BuiltinDataReader(participant(self._domain), BuiltinTopicDcpsPublication)
-        publishers = [end for end in reader.read(PUBLISHERS_MAX) if isinstance(end.topic_name, str)]
-        return sum(end.topic_name == name and end.key != own for end in publishers)
+        dds_name = DDS_PREFIX + self.topic.name
+        own_key = None if self._writer is None else self._writer.guid
+        reader = BuiltinDataReader(join_domain(self._domain), BuiltinTopicDcpsPublication)
+        publishers = [
+            publisher
+            for publisher in reader.read(PUBLISHERS_MAX)
+            if isinstance(publisher.topic_name, str)
+        ]
+        return sum(
+            publisher.topic_name == dds_name and publisher.key != own_key
+            for publisher in publishers
+        )
 
 
 class TopicPort(ClientPort):
-    """A topic used as the port of a device; see `SerialPort`. Its `baud` is ignored."""
+    """A topic that a camera or an actuator uses like a `SerialPort`.
+
+    Args:
+        topic: The topic.
+        name: Name of the port, ros2://DOMAIN/TOPIC.
+        baud: Ignored, because a topic has no baud rate.
+        device: The device on the topic, for error messages.
+        clock: The clock for times.
+        on_received: Called with the bytes of each message and its time of arrival [ns].
+        hint: Hint for error messages.
+
+    Attributes:
+        end: The publisher or subscription.
+    """
 
     def __init__(
         self,
@@ -234,43 +266,52 @@ class TopicPort(ClientPort):
     ) -> None:
         super().__init__(name, baud, device, clock, on_received, hint)
         self.end = TopicEnd(topic, domain_of(name))
-        self._lock: int | None = None  # descriptor of the file that is locked
-        self._ready_ns = 0  # when it stops waiting for subscribers
+        self._lock_fd: int | None = None  # file descriptor of the lock; None without a lock
+        self._wait_until_ns = 0  # when the port stops waiting for subscribers
 
     def open(self, exclusive: bool = True) -> None:
         """Join the topic.
 
         A publisher is ready once somebody subscribes, or after DISCOVERY_S. If nobody subscribes,
-        `refusal` says so.
+        `refusal` contains a message.
+
+        Args:
+            exclusive: Whether to refuse a topic on which another program of this computer publishes.
 
         Raises:
-            PortHeldError: If `exclusive` is True, and another program on this computer publishes
+            PortHeldError: If `exclusive` is True, and another program of this computer publishes
                 here.
             AbortError: If the topic cannot be joined.
         """
         if exclusive and self.end.topic.publishes:
-            self._lock = lock_address(self._name)
+            self._lock_fd = lock_address(self._name)
         self.end.open()
         super().open(exclusive)
-        self._ready_ns = self._clock.now() + round(DISCOVERY_S * SECOND)
+        self._wait_until_ns = self._clock.now() + round(DISCOVERY_S * SECOND)
 
     def is_ready(self) -> bool:
-        """Check whether any node subscribes, or has had enough time to appear.
+        """Check whether a node subscribes to the topic, or has had enough time to appear.
 
-        A subscription is always ready.
+        The port of a subscription is always ready.
         """
         if not self.end.topic.publishes:
             return True
-        return self.look_for_subscribers() or self._clock.now() >= self._ready_ns
+        return self.look_for_subscribers() or self._clock.now() >= self._wait_until_ns
 
     def look_for_subscribers(self) -> bool:
-        """Check whether any node subscribes to the topic. If none does, set `refusal` to a text."""
-        is_received = self.end.partners > 0
+        """Check whether any node subscribes to the topic, and set `refusal` if none does."""
+        is_received = self.end.n_partners > 0
         self.refusal = None if is_received else f"no node subscribes to {self.end.topic.name}"
         return is_received
 
     def write(self, data: bytes) -> int:
-        """Publish a message, given as bytes, and return the time [ns].
+        """Publish a message.
+
+        Args:
+            data: The bytes of the message.
+
+        Returns:
+            The time of publishing [ns].
 
         Raises:
             AbortError: If the topic is not open, or if DDS does not accept the message.
@@ -288,7 +329,7 @@ class TopicPort(ClientPort):
         """Do nothing, because `open` has already joined the topic."""
 
     def wait(self) -> None:
-        """Pass on the messages that have arrived. A port that publishes only waits."""
+        """Pass on the messages that have arrived. The port of a publisher only waits."""
         if self.end.topic.publishes:
             super().wait()
         else:
@@ -300,9 +341,9 @@ class TopicPort(ClientPort):
         super().close()
         with suppress(core.DDSException):
             self.end.close()
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        if self._lock_fd is not None:
+            os.close(self._lock_fd)
+            self._lock_fd = None
 
 
 def domain_of(name: str) -> int:
@@ -311,15 +352,15 @@ def domain_of(name: str) -> int:
 
 
 def ports_of(topics: Iterable[Topic]) -> PortFactory:
-    """Create a function that makes the port of one of these topics, given the port's name.
+    """Create a function that creates the port of one of these topics, given the port's name.
 
-    A name of any other topic raises a `KeyError`.
+    The function raises a `KeyError` for the name of any other topic.
     """
-    by_name = {topic.name: topic for topic in topics}
+    topic_by_name = {topic.name: topic for topic in topics}
 
-    def make(name: str, *arguments: Any) -> TopicPort:
+    def make_port(name: str, *arguments: Any) -> TopicPort:
         domain_and_topic = name.removeprefix(SCHEME)
-        topic = by_name["/" + domain_and_topic.partition("/")[2]]
+        topic = topic_by_name["/" + domain_and_topic.partition("/")[2]]
         return TopicPort(topic, name, *arguments)
 
-    return make
+    return make_port

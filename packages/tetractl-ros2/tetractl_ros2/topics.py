@@ -1,4 +1,4 @@
-"""Lists the topics that the devices of a spec use, and the direction of each."""
+"""The topics that the devices of a spec use, and whether this process publishes on them."""
 
 from cyclonedds.idl import IdlStruct
 
@@ -18,36 +18,36 @@ from tetractl_ros2.ros2_messages import (
 from tetractl_ros2.section import Ros2CameraSection, Ros2Section
 from tetractl_ros2.topic_port import Topic
 
-POSES: dict[str, type[IdlStruct]] = {
+POSE_MESSAGES: dict[str, type[IdlStruct]] = {
     "PoseStamped": PoseStamped,
     "Odometry": Odometry,
     "TFMessage": TFMessage,
     "NamedPoseArray": NamedPoseArray,
 }
-COMMANDS: dict[str, type[IdlStruct]] = {
+COMMAND_MESSAGES: dict[str, type[IdlStruct]] = {
     "Twist": Twist,
     "TwistStamped": TwistStamped,
     "Vector3Stamped": Vector3Stamped,
 }
-EMULATED = "/tetractl/emulated"
+EMULATED_TOPIC = "/tetractl/emulated"
 """Topic on which an emulated tracker reports that it is not real."""
 
 
 def pose_topics(section: Ros2CameraSection, setup: Setup, publishes: bool = False) -> list[Topic]:
-    """Return the topics of the poses: one for all robots, or one for each in the setup's order.
+    """Return the topics of the poses: one for all robots, or one for each robot in order.
 
     Args:
         section: The fields of the camera in the spec.
         setup: The constants of the experiment.
         publishes: Whether this program publishes on the topics.
     """
-    message = POSES[section.message]
+    message = POSE_MESSAGES[section.message]
     return [Topic(name, message, publishes) for name in section.topics(setup)]
 
 
 def emulated_topic(publishes: bool = False) -> Topic:
-    """Return the topic on which an emulated tracker says that it is not real."""
-    return Topic(EMULATED, Bool, publishes, latched=True)
+    """Return the topic on which an emulated tracker reports that it is not real."""
+    return Topic(EMULATED_TOPIC, Bool, publishes, latched=True)
 
 
 def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -> list[Topic]:
@@ -58,7 +58,7 @@ def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -
         setup: The constants of the experiment.
         publishes: Whether this program publishes on the topics.
     """
-    message = COMMANDS[section.message]
+    message = COMMAND_MESSAGES[section.message]
     robots = [entry(section.robots, name) for name in setup.names]
     return [Topic(robot.topic, message, publishes) for robot in robots]
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tetractl_emulator.emulated_lab import EmulatedLab
-from tetractl_emulator.script import NOTHING, parse_script
+from tetractl_emulator.script import NO_FAULTS, parse_script
 from tetractl_emulator.sides import Options
 
 from testkit.lab_specs import SPEC as TWO
@@ -277,11 +277,11 @@ def script_of(script, lab):
     return script
 
 
-def emulated(folder, *sets, script=NOTHING, tell=None, spec=TWO, **options):
+def emulated(folder, *sets, script=NO_FAULTS, tell=None, spec=TWO, **options):
     """Return an EmulatedLab on this computer's wires, not yet entered; `script` may be YAML."""
     loaded = parse_spec(spec, "emulated.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
-    places = {"link": Path(folder) / "radio", "record": Path(folder) / "record.jsonl"}
+    places = {"port_link": Path(folder) / "radio", "record": Path(folder) / "record.jsonl"}
     chosen = Options(command_port=0, data_port=0, **places, **options)
     extra = {} if tell is None else {"report": tell}
     return EmulatedLab(lab, loaded.experiment.setup, script_of(script, lab), chosen, **extra)

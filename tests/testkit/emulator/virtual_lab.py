@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from tetractl_emulator.emulated_lab import EmulatedLab
-from tetractl_emulator.script import NOTHING
+from tetractl_emulator.script import NO_FAULTS
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_lab import LabClock, LiveClock, started
 from tetractl_microscope.cells.section import CellsSection
@@ -149,7 +149,7 @@ class VirtualLab:
 
 
 @contextlib.contextmanager
-def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, **options):
+def virtual_lab(folder, *sets, spec=SPEC, script=NO_FAULTS, seed=1, ahead_s=0.0, **options):
     """Enter an emulated lab that is up `ahead_s` before anything connects.
 
     A `spec` is a path or YAML, or loaded, a `script` may be YAML, and `options` are the
@@ -167,7 +167,9 @@ def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, *
     lab = lab_of(loaded.experiment, loaded.name)
     clock = PatientClock()
     record = None if folder is None else Path(folder) / "record.jsonl"
-    chosen = Options(seed=seed, chosen=loaded.experiment.open, record=record, **options)
+    chosen = Options(
+        seed=seed, trials_choose_robots=loaded.experiment.open, record=record, **options
+    )
     emulation = started(lab, loaded.experiment.setup, clock, chosen, script_of(script, lab))
     with contextlib.closing(emulation), joined(emulation, clock):
         clock.sleep_until(round(ahead_s * SECOND))

@@ -39,7 +39,7 @@ class Bench:
         timeline = Timeline(lambda until: self.driver.advance(until))
         self.clock.carry(timeline)
         self.network = MemoryNetwork()
-        self.port = HeardPort(self.network, "coils", lambda: self.driver.readable())
+        self.port = HeardPort(self.network, "coils", lambda: self.driver.read_port())
         self.driver = CurrentDriver(
             timeline,
             self.port,

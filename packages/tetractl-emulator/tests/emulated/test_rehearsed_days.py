@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 from testkit.emulator.lab_processes import SPEC
-from tetractl_emulator.lab_rehearse import rehearsed
+from tetractl_emulator.lab_rehearse import rehearse_day
 from tetractl_emulator.rehearsal import day_plan
 
 from tetractl.control.methods.build import warm_up
@@ -41,7 +41,7 @@ def test_days_on_which_each_fault_of_the_table_is_met_break_nothing(monkeypatch)
     warm_up(experiment, print)
     plans = plans_of_each_fault(experiment.plant, experiment.setup)
     monkeypatch.setattr(day_plan, "plan_of_day", lambda seed, number, *_: plans[number])
-    rows = [rehearsed(SPEC, (), SEED, number) for number in range(len(plans))]
+    rows = [rehearse_day(SPEC, (), SEED, number) for number in range(len(plans))]
     assert {row["day"]: row["violations"] for row in rows if row["violations"]} == {}
     met = {kind for row in rows for kind, _ in row["met"]}
     assert {row.name for row in day_plan.rows_of(experiment.plant, experiment.setup)} - met == set()

@@ -8,7 +8,7 @@ from testkit.emulator.lab_processes import APRILTAG, SMALL, SPEC, flags
 from testkit.emulator.virtual_lab import virtual_lab
 from testkit.paths import EXAMPLES
 from tetractl_emulator.fault_rows import CAMERA_REASONS, SEEN_REASONS
-from tetractl_emulator.lab_rehearse import rehearsed
+from tetractl_emulator.lab_rehearse import rehearse_day
 from tetractl_emulator.rehearsal import day_plan
 
 from tetractl.lab.guard import Guard
@@ -102,7 +102,7 @@ def test_a_day_of_cells_is_observed(monkeypatch):
     lost = {"kind": "no pictures", "right": SEEN_REASONS, "fault": "no_frames", "at": 6.3}
     plan_days(monkeypatch, lost)
     of_day = EXAMPLES / "tetrahymena_dish.yaml", DISH[1::2], 1, 0
-    row = rehearsed(*of_day)
+    row = rehearse_day(*of_day)
     assert row["violations"] == []
     assert row["reason"].startswith("no new camera frame")
 

@@ -40,7 +40,7 @@ def actuator(folder, spec):
         def moves():
             return [not body.standing for body in lab.robots]
 
-        robots = MovedRobots(lab.clock, moves, lambda: lab.emulation.actuator.plugged(False))
+        robots = MovedRobots(lab.clock, moves, lambda: lab.emulation.actuator.set_plugged(False))
         yield lab.spec.experiment.plant.actuator, lab.spec.experiment.setup, robots
 
 

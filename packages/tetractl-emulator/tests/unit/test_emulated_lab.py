@@ -67,7 +67,7 @@ class Bench:
                 self._sequence = (self._sequence + 1) % 256
                 command = BroadcastCommand(self._sequence, Flag.RUN, counts)
                 for robot in self.robots:
-                    robot.hear(encode_command(command))
+                    robot.receive(encode_command(command))
             self.lab.timeline.run_to(self.lab.timeline.now_ns + SECOND // 10)
 
     def poses(self):
@@ -124,7 +124,7 @@ def test_a_script_puts_one_robot_elsewhere_or_turns_it(robot, start, heading):
 def test_cells_that_trials_choose_are_put_nowhere():
     bench = Bench()
     bench.robots[0].place(1.0, 2.0, 3.0)
-    chosen = Bench(chosen=True)
+    chosen = Bench(trials_choose_robots=True)
     assert chosen.poses() == [(0.0, 0.0, 0.0)] * 2
 
 
@@ -281,7 +281,7 @@ def test_robots_are_carried_to_their_starts_after_a_run_and_a_rest(tmp_path):
     assert bench.poses() == STARTS
     assert bench.said("placed") == ["placed"]
     assert all(robot.powered for robot in bench.robots)
-    assert not bench.lab.injector.acting.carried
+    assert not bench.lab.injector.acting.robots_are_carried
 
 
 def test_a_rest_before_a_slow_run_does_not_count_as_one_after_it():
@@ -289,13 +289,13 @@ def test_a_rest_before_a_slow_run_does_not_count_as_one_after_it():
     bench.run(1.0)
     bench.run(0.3, SLOW, SLOW)
     assert bench.said("run", "placed") == ["run"]
-    assert not bench.lab.injector.acting.carried
+    assert not bench.lab.injector.acting.robots_are_carried
 
 
 def test_while_robots_are_carried_they_are_off_and_no_camera_shows_them(tmp_path):
     bench = Bench(tmp_path, replace_after=0.2).opened()
     bench.run(0.3, AHEAD, STILL)
-    while not bench.lab.injector.acting.carried:
+    while not bench.lab.injector.acting.robots_are_carried:
         bench.run(0.1)
     assert not any(robot.powered for robot in bench.robots)
     bench.run(0.3)

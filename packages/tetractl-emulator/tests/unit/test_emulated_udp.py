@@ -44,10 +44,10 @@ def test_a_device_reads_a_datagram_at_a_time_and_answers_its_sender(program, dev
 
 
 def test_a_stalled_device_drops_what_comes_until_it_takes_it_again(program, device):
-    device.stall(True)
+    device.set_stalled(True)
     tell(program, device, b"lost")
     assert device.read() == b""
-    device.stall(False)
+    device.set_stalled(False)
     tell(program, device, b"heard")
     assert device.read() == b"heard"
 

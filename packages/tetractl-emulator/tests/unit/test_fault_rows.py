@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from testkit.emulator.device_specs import FIELD_SPEC
 from testkit.lab_specs import SPEC
 from tetractl_emulator import fault_rows
-from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, FRAME_S, Draw
+from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, FRAME_S, RandomChoices
 from tetractl_emulator.optitrack.scripted import FAULTS
 
 from tetractl.spec.load import parse_spec
@@ -20,7 +20,7 @@ LOW, HIGH = 2.0, 50.0
 
 
 def draw(strength=0.5, seed=1, scale=1.0):
-    return Draw(Random(seed), ["green", "blue"], strength, scale)
+    return RandomChoices(Random(seed), ["green", "blue"], strength, scale)
 
 
 def size_at(strength):
@@ -38,7 +38,9 @@ def test_sizes_grow_with_the_strength_from_the_least_to_the_most(strength, seed)
     whole = fault_rows.whole_number(LOW, HIGH)(draw(strength, seed))
     assert isinstance(whole, int)
     assert whole == pytest.approx(size_at(strength), abs=0.51)
-    assert fault_rows.pair(fault_rows.value_between(LOW, HIGH))(draw(strength, seed)) == [
+    assert fault_rows.two_whole_numbers(fault_rows.value_between(LOW, HIGH))(
+        draw(strength, seed)
+    ) == [
         whole,
         whole,
     ]
@@ -111,14 +113,14 @@ def test_the_fault_is_of_the_first_robot_and_the_other_is_another():
 
 def test_lengths_are_scaled_by_the_fastest_cell_and_not_for_robots_on_wheels():
     cells = parse_spec(FIELD_SPEC, "lab.yaml").experiment
-    assert fault_rows.scale_of(cells.lab, cells.setup) == pytest.approx(200 / 200)  # mm/s, blue
+    assert fault_rows.length_scale(cells.lab, cells.setup) == pytest.approx(200 / 200)  # mm/s, blue
     text = FIELD_SPEC.replace("speed: 180", "speed: 0.5").replace("speed: 200", "speed: 0.4")
     slow = parse_spec(text, "lab.yaml").experiment
-    assert fault_rows.scale_of(slow.lab, slow.setup) == pytest.approx(0.5 / 200)
+    assert fault_rows.length_scale(slow.lab, slow.setup) == pytest.approx(0.5 / 200)
     in_um = parse_spec(text.replace("length: mm", "length: um"), "lab.yaml").experiment
-    assert fault_rows.scale_of(in_um.lab, in_um.setup) == pytest.approx(0.0005 / 200)
+    assert fault_rows.length_scale(in_um.lab, in_um.setup) == pytest.approx(0.0005 / 200)
     wheels = parse_spec(SPEC.replace("speed: 200", "speed: 90"), "lab.yaml").experiment
-    assert fault_rows.scale_of(wheels.lab, wheels.setup) == 1.0
+    assert fault_rows.length_scale(wheels.lab, wheels.setup) == 1.0
 
 
 @pytest.mark.parametrize(("name", "sideways"), [("ghost drives", False), ("ghost slides", True)])

@@ -60,7 +60,7 @@ class Driver:
     def send(self, x_ma=0, y_ma=0, flags=Flag.RUN):
         self._sequence += 1
         self.waiting.append(encode_command(FieldCommand(self._sequence, flags, x_ma, y_ma)))
-        self.driver.readable()
+        self.driver.read_port()
 
     def hold(self, seconds, x_ma, y_ma):
         """Send the same currents every 100 ms."""

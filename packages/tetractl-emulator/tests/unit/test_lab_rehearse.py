@@ -9,7 +9,7 @@ from testkit.emulator.lab_processes import SPEC
 from testkit.emulator.made_days import at
 from testkit.paths import EXAMPLES
 from tetractl_emulator import lab_rehearse
-from tetractl_emulator.lab_rehearse import WATCHDOG_S, observed, rehearsed
+from tetractl_emulator.lab_rehearse import WATCHDOG_S, observe_day, rehearse_day
 from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
@@ -30,10 +30,10 @@ class MadeDays:
         self.violations = {}
         self.interrupted_on = None
 
-    def rehearsed(self, spec, sets, seed, day, bad=True, folder=None):
+    def rehearse_day(self, spec, sets, seed, day, with_faults=True, folder=None):
         if day == self.interrupted_on:
             raise KeyboardInterrupt
-        self.played.append((day, seed, bad))
+        self.played.append((day, seed, with_faults))
         return {
             "day": day,
             "digest": f"d{day}",
@@ -49,7 +49,7 @@ class MadeDays:
 def days(monkeypatch):
     made = MadeDays()
     tried = SimpleNamespace(outcome=Outcome.TIME_LIMIT, reason="")
-    monkeypatch.setattr(lab_rehearse, "rehearsed", made.rehearsed)
+    monkeypatch.setattr(lab_rehearse, "rehearse_day", made.rehearse_day)
     monkeypatch.setattr(lab_rehearse.gc, "freeze", lambda: None)
     monkeypatch.setattr("tetractl.control.methods.build.warm_up", lambda *_: None)
     monkeypatch.setattr("tetractl.run.logged_trial.run_logged", lambda spec, folder: tried)
@@ -199,7 +199,7 @@ REFUSED = "error: no camera server answers\n"
 
 def test_a_day_is_planned_from_its_seed_and_run_with_what_the_plan_sets(monkeypatch, tmp_path):
     day = MadeDay(monkeypatch, 1, REFUSED)
-    row = rehearsed(SPEC, ("trials.seed=3",), 5, 9, False)
+    row = rehearse_day(SPEC, ("trials.seed=3",), 5, 9, False)
     ((seed, number, lab, setup, chosen, bad),) = day.planned
     assert (seed, number, chosen, bad) == (5, 9, False, False)
     assert len(setup.names) == 3
@@ -214,21 +214,21 @@ def test_a_day_is_planned_from_its_seed_and_run_with_what_the_plan_sets(monkeypa
 
 def test_a_controller_without_a_deadline_is_given_none(monkeypatch):
     day = MadeDay(monkeypatch, 1, REFUSED)
-    rehearsed(SPEC, ("controller={type: sequence, period: 0.2, directions: [0.0]}",), 1, 0)
+    rehearse_day(SPEC, ("controller={type: sequence, period: 0.2, directions: [0.0]}",), 1, 0)
     assert not any("deadline" in setting for setting in day.ran[0][1])
 
 
 def test_only_a_day_that_violates_an_invariant_leaves_a_script(monkeypatch, tmp_path):
     MadeDay(monkeypatch, 0)  # it ends as if all were well, without a run
-    row = rehearsed(SPEC, (), 5, 9, folder=tmp_path)
+    row = rehearse_day(SPEC, (), 5, 9, folder=tmp_path)
     assert row["violations"]
     (script,) = tmp_path.iterdir()
     assert script.name == "seed-5-day-9.yaml"
     assert f"seed 5, day 9: {row['violations'][0][0]}, at seed 77" in script.read_text()
     assert "time_limit=4" in script.read_text()
-    rehearsed(SPEC, (), 5, 10)  # without a folder
+    rehearse_day(SPEC, (), 5, 10)  # without a folder
     MadeDay(monkeypatch, 1, "")
-    quiet = rehearsed(SPEC, (), 5, 11, folder=tmp_path)
+    quiet = rehearse_day(SPEC, (), 5, 11, folder=tmp_path)
     assert not quiet["violations"]
     assert [file.name for file in tmp_path.iterdir()] == ["seed-5-day-9.yaml"]
 
@@ -242,9 +242,9 @@ def test_a_robot_stops_after_the_watchdog_of_the_spec(watchdog, watchdog_s):
     if watchdog is None and experiment.wheels is not None:
         watchdog_s = experiment.wheels.watchdog or WATCHDOG_S
     day = DayOutcome(DayPlan(1, {}, []), [], 1, REFUSED, None, "", 1.0)
-    truth, _ = observed(day, experiment, experiment.plant)
+    truth, _ = observe_day(day, experiment, experiment.plant)
     assert truth.watchdog_s == watchdog_s
-    assert truth.halts
+    assert truth.can_stand_still
 
 
 def test_cells_are_observed_by_the_invariants_that_hold_for_cells():
@@ -252,6 +252,6 @@ def test_cells_are_observed_by_the_invariants_that_hold_for_cells():
     dish = on_plant(load_spec(EXAMPLES / "tetrahymena_dish.yaml"), "emulated").experiment
     moving = [at(1.0 + k / 60, "truth", poses=[], unseen_ms=[], frame=1) for k in range(3)]
     day = DayOutcome(DayPlan(1, {}, []), moving, 1, "", None, "", 1.0)
-    truth, violations = observed(day, dish, dish.plant)
-    assert not truth.halts
+    truth, violations = observe_day(day, dish, dish.plant)
+    assert not truth.can_stand_still
     assert violations == []

@@ -180,13 +180,13 @@ def test_what_a_device_writes_while_our_end_is_closed_is_lost():
 
 def test_a_stalled_port_takes_no_bytes_until_it_takes_them_again():
     wire = opened()
-    wire.device.stall(False)
+    wire.device.set_stalled(False)
     wire.ours.write(b"AT")
-    wire.device.stall(True)
+    wire.device.set_stalled(True)
     with pytest.raises(AbortError, match="accepts no more bytes"):
         wire.ours.write(b"HV")
     assert wire.device.read() == b"AT"
-    wire.device.stall(False)
+    wire.device.set_stalled(False)
     fresh = wire.end()
     fresh.open(exclusive=False)
     fresh.write(b"VR")

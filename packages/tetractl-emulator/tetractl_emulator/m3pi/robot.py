@@ -23,17 +23,21 @@ from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.firmware import RobotCore
 
 STANDSTILL_MM_S = 1.0
+"""Wheel speed below which a robot counts as standing still [mm/s]. No camera detects less."""
 AT_REST_MM_S = 1e-9
-FULL_LOAD_MM_S = 2000.0  # both wheels together
-ON_MS = 10_000  # how long robots have been on when an emulation begins
-BATTERY_MV = 5100  # of four NiMH cells, without load
-SAG_MV = 150.0  # at full load
+"""Wheel speed below which the simulation stops a wheel [mm/s]."""
+FULL_LOAD_MM_S = 2000.0
+"""Sum of the speeds of both wheels at the battery's full load [mm/s]."""
+ON_BEFORE_START_MS = 10_000
+"""Time for which robots have been switched on when an emulation begins [ms]."""
+BATTERY_MV = 5100
+"""Voltage of a robot's four NiMH cells without load [mV]."""
+SAG_MV = 150.0
+"""Drop of the battery's voltage at full load [mV]."""
 Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
-
-
 MotorDrive = tuple[Counts, tuple[float, float]]
-"""What drives a robot: the counts of both motors, and the fraction of its speed at each wheel."""
+"""The counts of a robot's motors, and the fraction of its speed at which each wheel turns."""
 
 
 class Program(Protocol):
@@ -124,11 +128,8 @@ class EmulatedRobot:
         """
         return max(map(abs, self.wheels)) < STANDSTILL_MM_S
 
-    def hear(self, data: bytes) -> None:
-        """Process bytes from the robot's radio module.
-
-        They are lost if the robot is switched off.
-        """
+    def receive(self, data: bytes) -> None:
+        """Process bytes from the robot's radio module, unless the robot is switched off."""
         if self.powered:
             self.core.set_battery(self._battery_mv())
             self.core.push(data, self._now_ms)
@@ -155,7 +156,7 @@ class EmulatedRobot:
     def answer(self) -> bytes:
         """Return the bytes that the robot sends now.
 
-        b"" if there are none or it is switched off.
+        The result is b"" if the robot has nothing to send, or if it is switched off.
         """
         return self.core.take_reply(self._now_ms) if self.powered else b""
 
@@ -165,9 +166,9 @@ class EmulatedRobot:
         return self.core.status(self._now_ms)
 
     def counts(self) -> Counts:
-        """Return the present counts of the left and the right motor, as faults change them.
+        """Return the present counts of the left and the right motor, which faults may change.
 
-        They are 0 if the robot is switched off.
+        The counts are 0 if the robot is switched off.
         """
         if not self.powered:
             return 0, 0
@@ -181,7 +182,7 @@ class EmulatedRobot:
         Args:
             wheel: "left" or "right".
         """
-        if not self.acting.any_yet:
+        if not self.acting.has_had_any:  # saves time
             return 1.0
         if any(
             fault.wheel in (wheel, "both")
@@ -204,15 +205,15 @@ class EmulatedRobot:
     def renumber(self, index: int) -> None:
         """Replace the robot's firmware with one that was built for another index.
 
-        The new program has already run for ON_MS.
+        The new program has already run for ON_BEFORE_START_MS.
         """
         self.index = index
         self.core = self._make_running_core()
 
     def _make_running_core(self) -> Program:
-        """Create a program for the robot's present index that has already run for ON_MS."""
+        """Create a program with the robot's index that has already run for ON_BEFORE_START_MS."""
         core = self._make_core(self.index)
-        core.wheels(ON_MS)
+        core.wheels(ON_BEFORE_START_MS)
         return core
 
     @property

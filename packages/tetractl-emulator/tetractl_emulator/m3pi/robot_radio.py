@@ -1,6 +1,6 @@
 """Base class of all emulated radios, which can lose, delay and duplicate transmissions.
 
-A subclass receives bytes from the program's port, and calls `pass_on` for each complete message. It
+A subclass receives bytes from the program's port, and calls `deliver` for each complete message. It
 also handles the robots' answers.
 """
 
@@ -19,7 +19,7 @@ from tetractl_emulator.port import PseudoPort, SerialDevice
 
 
 class RobotRadio(SerialDevice):
-    """A radio to robots that loses at least the fraction `loss` of its transmissions.
+    """Base class of emulated radios, which deliver messages to robots with losses and delays.
 
     Args:
         timeline: The emulation's timeline.
@@ -28,8 +28,13 @@ class RobotRadio(SerialDevice):
         note: Records an event, called as `note(event, **facts)`. None if there is no record.
         robots: The robots that receive the messages.
         loss: Minimum probability that a transmission is lost.
-        seed: Seed of what is lost or late.
-        acting: The faults that act now. None if there are none.
+        seed: Seed of the random losses and delays.
+        acting: The faults that act now. None if no fault can act.
+
+    Attributes:
+        robots: The robots that receive the messages.
+        sequence: Sequence number of our program's newest command while another program drives the
+            robots.
     """
 
     def __init__(
@@ -45,28 +50,28 @@ class RobotRadio(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note, acting)
         self.robots = robots
-        self.sequence = 0  # of the last command, while another program drives the robots
+        self.sequence = 0
         self._random = random.Random(seed)
         self._loss = loss
 
-    def loss_to(self, robot: str | None = None) -> float:
-        """Return the probability that a transmission is lost.
+    def loss_probability(self, robot: str | None = None) -> float:
+        """Compute the probability that a transmission is lost.
 
         Args:
             robot: Name of the receiving robot. None if the PC receives.
         """
-        deaf = self.acting.largest_share("deaf", robot) if robot else 0.0
-        return max(self._loss, self.acting.largest_share("loss"), deaf)
+        deaf_share = self.acting.largest_share("deaf", robot) if robot else 0.0
+        return max(self._loss, self.acting.largest_share("loss"), deaf_share)
 
-    def late_ns(self) -> int:
-        """Sample the additional delay of a transmission [ns], which faults cause.
+    def sample_delay_ns(self) -> int:
+        """Sample the additional delay that faults cause for a transmission [ns].
 
-        It is 0 if no such fault acts.
+        The delay is 0 if no such fault acts.
         """
-        late_s = self.acting.total_by("late_radio")
+        delay_s = self.acting.total_by("late_radio")
         for fault in self.acting.of_kind("overtaken_packets"):
-            late_s += self._random.uniform(0, fault.by)
-        return round(late_s * SECOND)
+            delay_s += self._random.uniform(0, fault.by)
+        return round(delay_s * SECOND)
 
     @property
     def times(self) -> int:
@@ -76,24 +81,24 @@ class RobotRadio(SerialDevice):
         """
         return 2 if self.acting.of_kind("doubled_packets") else 1
 
-    def pass_on(self, message: bytes, arrives_ns: int) -> None:
+    def deliver(self, message: bytes, arrival_ns: int) -> None:
         """Deliver a message to each robot, unless it is lost.
 
         Args:
             message: The message.
-            arrives_ns: Time of arrival without additional delays [ns].
+            arrival_ns: Time of arrival without additional delays [ns].
         """
         if self.acting.of_kind("driven_elsewhere"):
             with suppress(WireError):
-                self.sequence = self._command(message.rstrip(b"\0\n"))["sequence"]
-        arrives_ns += self.late_ns()
+                self.sequence = self._decode_command(message.rstrip(b"\0\n"))["sequence"]
+        arrival_ns += self.sample_delay_ns()
         for robot in self.robots:
-            if self._random.random() >= self.loss_to(robot.name):
-                hear = partial(robot.hear, message)
+            if self._random.random() >= self.loss_probability(robot.name):
+                receive_message = partial(robot.receive, message)
                 for _ in range(self.times):
-                    self._timeline.at(arrives_ns + robot.late_ns, hear)
+                    self._timeline.at(arrival_ns + robot.late_ns, receive_message)
 
-    def stop_elsewhere(self, sequence: int) -> None:
+    def stop_from_other_program(self, sequence: int) -> None:
         """Let the robots receive an emergency stop, as if from another program.
 
         By default, nothing happens: override this method if another program could send such a stop.
@@ -102,7 +107,7 @@ class RobotRadio(SerialDevice):
             sequence: Sequence number of the stop.
         """
 
-    def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
+    def drive_from_other_program(self, sequence: int, counts: Counts) -> None:
         """Let the robots receive a driving command, as if from another program.
 
         By default, nothing happens: override this method if another program could send commands.
@@ -113,10 +118,10 @@ class RobotRadio(SerialDevice):
         """
 
     def poll_answers(self) -> None:
-        """Send the answers that robots have ready. To be called about every millisecond.
+        """Send the robots' waiting answers to the program. To be called about every millisecond.
 
-        Robots that are switched off have none.
+        Robots that are switched off do not answer.
         """
         for robot in self.robots:
             if answer := robot.answer():
-                self._answer(answer)
+                self._send_to_program(answer)

@@ -26,8 +26,10 @@ from tetractl_emulator.m3pi.wheeled_side import (
 )
 from tetractl_emulator.sides import Stage
 
-SERIES_1 = (0x1744, 0x10EC)  # HV and VR of a module with 802.15.4
-SERIES_2 = (0x1944, 0x21A7)  # HV and VR of one with Zigbee
+SERIES_1_VERSIONS = (0x1744, 0x10EC)
+"""Hardware version (HV) and firmware version (VR) of an XBee module with 802.15.4."""
+SERIES_2_VERSIONS = (0x1944, 0x21A7)
+"""Hardware version (HV) and firmware version (VR) of an XBee module with Zigbee."""
 
 
 class TrueRobot(Model):
@@ -64,10 +66,11 @@ class M3piSettings(Model):
     """The robots whose true properties differ from the spec."""
 
 
-def _renumber(fault: Any, device: Any) -> Undo:
+def _begin_wrong_id(fault: Any, device: Any) -> Undo:
     """Begin the fault `wrong_id`: replace the robot's firmware with one for another index.
 
-    It returns a function that restores the index.
+    Returns:
+        A function that restores the index.
     """
     robot = device.robot(fault.robot)
     undo = partial(robot.renumber, robot.index)
@@ -85,7 +88,7 @@ FAULTS = (
         "wrong_id",
         "A robot's firmware was built with this broadcast number.",
         fields={"robot": Name, "id": Annotated[int, Field(ge=0, le=31)]},
-        begin=_renumber,
+        begin=_begin_wrong_id,
     ),
     DRIVEN_ELSEWHERE,
     *WHEELED_FAULTS,
@@ -95,7 +98,7 @@ FAULTS = (
 class EmulatedM3pi(WheeledSide):
     """An emulated XBee on a pseudo-terminal, and the robots in its radio range."""
 
-    what = "radio"
+    description = "radio"
     Settings: ClassVar[type[Model]] = M3piSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
@@ -111,23 +114,27 @@ class EmulatedM3pi(WheeledSide):
     def __init__(self, stage: Stage, settings: M3piSettings) -> None:
         section = stage.lab.actuator
         assert isinstance(section, M3piSection), "the actuator's section has the type m3pi-xbee"
-        truths = {truth.name: truth for truth in settings.robots}
-        trues = [truths.get(name) or TrueRobot(name=name) for name in stage.setup.names]
+        override_by_name = {override.name: override for override in settings.robots}
+        true_robots = [
+            override_by_name.get(name) or TrueRobot(name=name) for name in stage.setup.names
+        ]
         self.robots = [
             EmulatedRobot(
-                true.name,
-                section.index(true.name),
-                true.battery_mv,
+                true_robot.name,
+                section.index(true_robot.name),
+                true_robot.battery_mv,
                 acting=stage.acting,
             )
-            for true in trues
+            for true_robot in true_robots
         ]
-        self.wheels = _wheels(stage, section, trues, self.robots)
+        self.wheels = _create_robots(stage, section, true_robots, self.robots)
         self.timeline = stage.timeline
-        hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
+        hardware, firmware = (
+            SERIES_2_VERSIONS if settings.firmware == "zigbee" else SERIES_1_VERSIONS
+        )
         self.radio = EmulatedRadio(
             stage.timeline,
-            stage.wires.port(stage.options.link or section.port),
+            stage.wires.port(stage.options.port_link or section.port),
             settings.baud or section.baud,
             (hardware if settings.hardware is None else settings.hardware, firmware),
             self.robots,
@@ -139,21 +146,23 @@ class EmulatedM3pi(WheeledSide):
         self.radios = [self.radio]
 
 
-def _wheels(
+def _create_robots(
     stage: Stage,
     section: M3piSection,
-    trues: Sequence[TrueRobot],
+    true_robots: Sequence[TrueRobot],
     robots: Sequence[EmulatedRobot],
 ) -> EmulatedRobots:
     """Create the moving robots, in the setup's order, with the true properties of their wheels.
 
     A property that the script does not state comes from the spec.
     """
-    parts = []
-    for true in trues:
+    true_entries = []
+    for true_robot in true_robots:
         names = ("left", "right", "swap", "radius_mm")
-        wheels = {name: value for name, value in true if name in names and value is not None}
-        parts.append(entry(section.robots, true.name).model_copy(update=wheels))
-    radii = radii_mm(stage.setup, [part.radius_mm for part in parts])
-    lags = np.array([true.lag for true in trues])
-    return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)
+        overrides = {
+            name: value for name, value in true_robot if name in names and value is not None
+        }
+        true_entries.append(entry(section.robots, true_robot.name).model_copy(update=overrides))
+    radii = radii_mm(stage.setup, [true_entry.radius_mm for true_entry in true_entries])
+    lags_s = np.array([true_robot.lag for true_robot in true_robots])
+    return EmulatedRobots(robots, drivetrains(true_entries), radii, lags_s, stage.timeline.now_ns)

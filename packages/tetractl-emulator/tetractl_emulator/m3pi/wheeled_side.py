@@ -31,25 +31,38 @@ from tetractl_emulator.fault_rows import (
     lost_fraction,
     one_minus,
     one_of,
-    pair,
     scaled_vector,
     signed_value,
+    two_whole_numbers,
     value_between,
     whole_number,
 )
-from tetractl_emulator.faults import ActingFaults, Share, Undo, fault_kind, port_faults, switching
+from tetractl_emulator.faults import (
+    ActingFaults,
+    Share,
+    Undo,
+    begin_by_switching,
+    fault_kind,
+    port_faults,
+)
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots
 from tetractl_emulator.m3pi.robot_radio import RobotRadio
 from tetractl_emulator.port import PluggedDevices
 from tetractl_emulator.sides import Stage
 
-PUSH_NS = SECOND // 5  # how long a push takes
-PUSH_PARTS = 40  # in how many steps
-LAG_MAX_S = 0.08  # longest time constant of a wheel on a rehearsed day
-WHEEL_OFF = 0.05  # most by which the speed of a wheel is off on such a day
+PUSH_NS = SECOND // 5
+"""Time for which a robot is pushed along the floor [ns]."""
+PUSH_STEPS = 40
+"""Number of steps in which a pushed robot moves."""
+LAG_MAX_S = 0.08
+"""Maximum time constant of a wheel in a randomised test run [s]."""
+WHEEL_ERROR_MAX = 0.05
+"""Maximum relative error of a wheel's speed in a randomised test run."""
 Wheel = Literal["left", "right", "both"]
+"""The wheels of a robot that a fault concerns."""
 Count = Annotated[int, Field(ge=-127, le=127)]
+"""The number that a command contains for the speed of a motor."""
 
 
 class WheeledSide(PluggedDevices):
@@ -57,19 +70,19 @@ class WheeledSide(PluggedDevices):
 
     Attributes:
         robots: The robots, in the order of the setup.
-        wheels: Moves the robots.
+        wheels: The motion of all robots, which follows their wheel speeds.
         radios: The radios that deliver messages to the robots.
         timeline: The emulation's timeline.
     """
 
-    what = "robots"
+    description = "robots"
     robots: Sequence[EmulatedRobot]
     wheels: EmulatedRobots
     radios: Sequence[RobotRadio]
     timeline: Timeline
 
     @property
-    def wired(self) -> Sequence[RobotRadio]:
+    def serial_devices(self) -> Sequence[RobotRadio]:
         """The emulated radios, each of which is connected to its own port."""
         return self.radios
 
@@ -80,15 +93,15 @@ class WheeledSide(PluggedDevices):
 
     @property
     def driven(self) -> bool:
-        """Whether any motor of any robot has a count other than 0 at present."""
+        """Whether any motor of any robot is driven at present: its count is not 0."""
         return any(any(robot.counts()) for robot in self.robots)
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true wheel speeds and statuses, for the record.
+        """The true wheel speeds and status flags of all robots, for the record.
 
-        The keys are "wheels", [[left, right], ...] [mm/s], and "status", with the flags of each
-        robot's program.
+        The keys are "wheels", which maps to [[left, right], ...] [mm/s], and "status", which maps
+        to the status flags of each robot's program.
         """
         speeds = (robot.wheels for robot in self.robots)
         wheels = [[round(left, 2), round(right, 2)] for left, right in speeds]
@@ -105,7 +118,7 @@ class WheeledSide(PluggedDevices):
         self.wheels.advance(until_ns)
 
     def tick(self) -> None:
-        """Send the replies that the emulated robots have ready. Each reply is sent once."""
+        """Send the robots' waiting replies to the program. Each reply is sent once."""
         for radio in self.radios:
             radio.poll_answers()
 
@@ -114,22 +127,23 @@ class WheeledSide(PluggedDevices):
         return next(robot for robot in self.robots if robot.name == name)
 
     def push(self, fault: Any) -> None:
-        """Displace a robot as the fault `pushed` specifies, in small steps or at once.
+        """Displace a robot as the fault `pushed` specifies.
 
-        In small steps, the displacement takes PUSH_NS.
+        The robot moves at once if the fault is `at_once`, and otherwise in small steps during
+        PUSH_NS.
         """
         row = self.robot(fault.robot).row
-        parts = 1 if fault.at_once else PUSH_PARTS
-        x, y, turn = (value / parts for value in (*fault.by, fault.turn))
-        for part in range(parts):
-            at_ns = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
+        n_steps = 1 if fault.at_once else PUSH_STEPS
+        x, y, turn = (value / n_steps for value in (*fault.by, fault.turn))
+        for step in range(n_steps):
+            at_ns = self.timeline.now_ns + step * PUSH_NS // PUSH_STEPS
             self.timeline.at(at_ns, lambda: self.wheels.shift(row, x, y, turn))
 
-    def drive_elsewhere(self, fault: Any) -> Undo:
-        """Send commands to the robots as if from another program, until the fault ends.
+    def drive_from_other_program(self, fault: Any) -> Undo:
+        """Drive the robots with commands as if from another program, until the fault ends.
 
-        The commands are numbered from 0. If the fault `follows`, each has the number after the
-        newest command of our program instead.
+        The commands are numbered from 0. If the fault sets `follows`, each command has the number
+        after our program's newest command instead.
 
         Args:
             fault: A fault of the kind `driven_elsewhere`.
@@ -138,29 +152,29 @@ class WheeledSide(PluggedDevices):
             A function that ends the fault.
         """
         period_ns = round(SECOND / fault.rate)
-        ends_ns = NEVER
+        end_ns = NEVER
 
         def send(number: int) -> None:
-            if self.timeline.now_ns >= ends_ns:
+            if self.timeline.now_ns >= end_ns:
                 return
             for radio in self.radios:
                 sequence = radio.sequence + 1 if fault.follows else number
-                radio.drive_elsewhere(sequence % 256, fault.counts)
+                radio.drive_from_other_program(sequence % 256, fault.counts)
             self.timeline.at(self.timeline.now_ns + period_ns, lambda: send(number + 1))
 
-        def end() -> None:
-            nonlocal ends_ns
-            ends_ns = self.timeline.now_ns
+        def end_fault() -> None:
+            nonlocal end_ns
+            end_ns = self.timeline.now_ns
 
         send(0)
-        return end
+        return end_fault
 
-    def stop_elsewhere(self) -> None:
-        """Schedule ten emergency stops for the robots from now on, as if from another program."""
-        for k in range(STOPS):
+    def stop_from_other_program(self) -> None:
+        """Send ten emergency stops to the robots from now on, as if from another program."""
+        for i in range(STOPS):
             for radio in self.radios:
-                at_ns = self.timeline.now_ns + k * STOP_GAP_NS
-                self.timeline.at(at_ns, lambda k=k, radio=radio: radio.stop_elsewhere(k))
+                at_ns = self.timeline.now_ns + i * STOP_GAP_NS
+                self.timeline.at(at_ns, lambda i=i, radio=radio: radio.stop_from_other_program(i))
 
 
 class TrueWheels(Model):
@@ -188,43 +202,46 @@ class WheelsSettings(Model):
 
 
 def robots_of_day(
-    random: Random, names: Sequence[str], wheel: str, gain: Callable[[float], Any]
+    random: Random, names: Sequence[str], wheel_field: str, gain_of: Callable[[float], Any]
 ) -> dict[str, Any]:
     """Sample true properties of the radio and the robots for a randomised test run.
 
     Args:
         random: The random generator.
         names: The robots.
-        wheel: Name of a wheel's field, with a placeholder for the side, such as "{}_gain".
-        gain: Returns the value of that field for a wheel's relative speed, within WHEEL_OFF of 1.
+        wheel_field: Name of a wheel's field, with a placeholder for the side, such as "{}_gain".
+        gain_of: Returns the value of that field for a wheel's relative speed. The relative speed
+            differs from 1 by at most WHEEL_ERROR_MAX.
 
     Returns:
-        A section `actuator` of a script's `emulation`: "loss" and "robots".
+        A section `actuator` of a script's `emulation`, with the keys "loss" and "robots".
     """
     robots: list[dict[str, Any]] = []
     for name in names:
         robot: dict[str, Any] = {"name": name}
         for side in ("left", "right"):
-            robot[wheel.format(side)] = gain(1 + random.uniform(-WHEEL_OFF, WHEEL_OFF))
+            robot[wheel_field.format(side)] = gain_of(
+                1 + random.uniform(-WHEEL_ERROR_MAX, WHEEL_ERROR_MAX)
+            )
         robot |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
         robots.append(robot | {"battery_mv": random.randint(4600, 5300)})
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
 
 
 class PortedSide(WheeledSide):
-    """A `WheeledSide` whose section of the spec has an entry for each robot.
+    """Base class of emulated actuators whose section of the spec has an entry for each robot.
 
-    The entry contains `radius_mm`, `left_gain` and `right_gain`. These values are the true ones
-    unless the settings differ.
+    The entry contains `radius_mm`, `left_gain` and `right_gain`. The emulated robot has these true
+    values, unless the settings differ.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         settings: Properties of the radio and the robots that differ from the spec.
         limit: Maximum count of a motor, and the wheel speed for one count [mm/s].
 
     Attributes:
-        stated: The entries of the section, in the order of the setup.
-        radii: Distance from a wheel to each robot's centre, shape (N,) [mm].
+        spec_entries: The entries of the section, in the order of the setup.
+        radii_mm: Distance from a wheel to each robot's centre, shape (N,) [mm].
     """
 
     Settings: ClassVar[type[Model]] = WheelsSettings
@@ -241,32 +258,37 @@ class PortedSide(WheeledSide):
             setup: The constants of the experiment.
         """
         section: Any = lab.actuator
-        drawn = robots_of_day(random, setup.names, "{}_gain", lambda fraction: round(fraction, 4))
-        for robot in drawn["robots"]:
-            stated = entry(section.robots, robot["name"])
-            robot["left_gain"] *= stated.left_gain
-            robot["right_gain"] *= stated.right_gain
-        return drawn
+        sampled = robots_of_day(random, setup.names, "{}_gain", lambda fraction: round(fraction, 4))
+        for robot in sampled["robots"]:
+            spec_entry = entry(section.robots, robot["name"])
+            robot["left_gain"] *= spec_entry.left_gain
+            robot["right_gain"] *= spec_entry.right_gain
+        return sampled
 
     def __init__(self, stage: Stage, settings: WheelsSettings, limit: tuple[float, float]) -> None:
         section: Any = stage.lab.actuator
         setup = stage.setup
-        self.stated = [entry(section.robots, name) for name in setup.names]
-        self.radii = radii_mm(setup, [stated.radius_mm for stated in self.stated])
-        given = {true.name: true for true in settings.robots}
-        trues = [given.get(name) or TrueWheels(name=name) for name in setup.names]
+        self.spec_entries = [entry(section.robots, name) for name in setup.names]
+        self.radii_mm = radii_mm(setup, [spec_entry.radius_mm for spec_entry in self.spec_entries])
+        override_by_name = {true_robot.name: true_robot for true_robot in settings.robots}
+        true_robots = [override_by_name.get(name) or TrueWheels(name=name) for name in setup.names]
         gains = [
-            (true.left_gain or stated.left_gain, true.right_gain or stated.right_gain)
-            for true, stated in zip(trues, self.stated, strict=True)
+            (
+                true_robot.left_gain or spec_entry.left_gain,
+                true_robot.right_gain or spec_entry.right_gain,
+            )
+            for true_robot, spec_entry in zip(true_robots, self.spec_entries, strict=True)
         ]
         self.robots = [
-            self.make_robot(row, true.name, true.battery_mv, stage.acting)
-            for row, true in enumerate(trues)
+            self.make_robot(row, true_robot.name, true_robot.battery_mv, stage.acting)
+            for row, true_robot in enumerate(true_robots)
         ]
-        wheels = wheels_by_speed(np.array(gains).T * limit[1], limit[0])
-        lags = np.array([true.lag for true in trues])
+        drivetrains = wheels_by_speed(np.array(gains).T * limit[1], limit[0])
+        lags_s = np.array([true_robot.lag for true_robot in true_robots])
         self.timeline = stage.timeline
-        self.wheels = EmulatedRobots(self.robots, wheels, self.radii, lags, stage.timeline.now_ns)
+        self.wheels = EmulatedRobots(
+            self.robots, drivetrains, self.radii_mm, lags_s, stage.timeline.now_ns
+        )
 
     @abstractmethod
     def make_robot(
@@ -276,32 +298,33 @@ class PortedSide(WheeledSide):
 
         Args:
             row: Index of the robot in the setup.
-            name: Its name.
-            battery_mv: Voltage of its battery without load [mV].
+            name: Name of the robot.
+            battery_mv: Voltage of the robot's battery without load [mV].
             acting: The faults that act now.
         """
 
 
-def _swap_numbers(fault: Any, device: Any) -> Undo:
+def _begin_swapped_numbers(fault: Any, device: Any) -> Undo:
     """Begin the fault `swapped_numbers`: exchange the indices of two robots' firmware.
 
-    It returns a function that exchanges them back.
+    Returns:
+        A function that exchanges the indices back.
     """
 
     def swap() -> None:
-        first = device.robot(fault.robot)
-        second = device.robot(fault.other)
-        index = first.index
-        first.renumber(second.index)
-        second.renumber(index)
+        first_robot = device.robot(fault.robot)
+        second_robot = device.robot(fault.other)
+        index = first_robot.index
+        first_robot.renumber(second_robot.index)
+        second_robot.renumber(index)
 
     swap()
     return swap
 
 
-ELSEWHERE = f"only an emergency stop|{MOTION_REASONS}|{PLACE_REASONS}"
-SENDER = {
-    "counts": pair(signed_value(3, 60)),
+OTHER_SENDER_REASONS = f"only an emergency stop|{MOTION_REASONS}|{PLACE_REASONS}"
+OTHER_SENDER_FIELDS = {
+    "counts": two_whole_numbers(signed_value(3, 60)),
     "rate": one_of(20.0, DEFAULT_COMMAND_HZ, 100.0, 200.0),
 }
 DRIVEN_ELSEWHERE = fault_kind(
@@ -315,14 +338,28 @@ DRIVEN_ELSEWHERE = fault_kind(
         "follows": (bool, False),
     },
     rows=[
-        FaultRow("second sender", ELSEWHERE, SENDER),
-        FaultRow("sender that follows", ELSEWHERE, SENDER | {"follows": True}),
-        FaultRow("sender as robots stop", ELSEWHERE, SENDER, start=0.0, stop=1.0),
-        FaultRow("sender before the run", ELSEWHERE, SENDER, start=1.0, weight=0.5),
+        FaultRow("second sender", OTHER_SENDER_REASONS, OTHER_SENDER_FIELDS),
+        FaultRow(
+            "sender that follows", OTHER_SENDER_REASONS, OTHER_SENDER_FIELDS | {"follows": True}
+        ),
+        FaultRow(
+            "sender as robots stop",
+            OTHER_SENDER_REASONS,
+            OTHER_SENDER_FIELDS,
+            start_fraction=0.0,
+            stop_fraction=1.0,
+        ),
+        FaultRow(
+            "sender before the run",
+            OTHER_SENDER_REASONS,
+            OTHER_SENDER_FIELDS,
+            start_fraction=1.0,
+            weight=0.5,
+        ),
     ],
-    begin=lambda fault, device: device.drive_elsewhere(fault),
+    begin=lambda fault, device: device.drive_from_other_program(fault),
 )
-"""The fault of a second program, for robots whose commands another program can make."""
+"""The fault that another program drives the robots, if another program can send commands."""
 WHEELED_FAULTS = (
     fault_kind(
         "wheel_stuck",
@@ -347,8 +384,8 @@ WHEELED_FAULTS = (
         "swapped_numbers",
         "Two robots have swapped numbers: each obeys the commands for the other.",
         fields={"robot": Name, "other": Name},
-        rows=[FaultRow("numbers swapped", MOVED_REASONS, at_once=True, start=1.0)],
-        begin=_swap_numbers,
+        rows=[FaultRow("numbers swapped", MOVED_REASONS, at_once=True, start_fraction=1.0)],
+        begin=_begin_swapped_numbers,
     ),
     fault_kind(
         "late_radio",
@@ -360,7 +397,7 @@ WHEELED_FAULTS = (
         "stopped_elsewhere",
         "Robots receive `tetractl lab stop` from another radio: ten emergency stops.",
         rows=[FaultRow("stopped elsewhere", f"emergency-stopped|{LINK_REASONS}", at_once=True)],
-        begin=lambda f, d: d.stop_elsewhere(),
+        begin=lambda f, d: d.stop_from_other_program(),
     ),
     fault_kind(
         "overtaken_packets",
@@ -427,7 +464,7 @@ WHEELED_FAULTS = (
         "A robot is switched off.",
         fields={"robot": Name},
         rows=[FaultRow("brown-out", LINK_REASONS)],
-        begin=switching(lambda f, d: d.robot(f.robot).switch, False),
+        begin=begin_by_switching(lambda f, d: d.robot(f.robot).switch, False),
     ),
     fault_kind(
         "reboots",
@@ -441,7 +478,12 @@ WHEELED_FAULTS = (
         "A robot's battery has this voltage [mV].",
         fields={"robot": Name, "millivolts": Annotated[int, Field(ge=0, le=9000)]},
         rows=[
-            FaultRow("battery low", "battery", {"millivolts": whole_number(4700, 3500)}, start=0.9)
+            FaultRow(
+                "battery low",
+                "battery",
+                {"millivolts": whole_number(4700, 3500)},
+                start_fraction=0.9,
+            )
         ],
     ),
 )

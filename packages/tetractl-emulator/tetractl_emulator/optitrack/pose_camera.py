@@ -36,7 +36,7 @@ class PoseCamera(ABC):
     Exposures are numbered from 1, without gaps.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         tracked: The rigid bodies on the robots.
         rate: Exposures per second [Hz].
         latency_s: Mean time from an exposure until its frame is sent [s].

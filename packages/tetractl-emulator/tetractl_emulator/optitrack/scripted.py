@@ -36,7 +36,7 @@ from tetractl_emulator.fault_rows import (
     value_between,
     whole_number,
 )
-from tetractl_emulator.faults import Share, Undo, Visible, adding, fault_kind
+from tetractl_emulator.faults import Share, Undo, Visible, add_until_undone, fault_kind
 
 CLOCK_HZ = 10_000_000
 """Frequency of the server's clock, in ticks per second [Hz]."""
@@ -110,12 +110,12 @@ def _run_clock(fault: Any, device: Any) -> Undo:
     def gained_ns(when_ns: int) -> int:
         return round((fault.rate - 1.0) * max(0, when_ns - since_ns))
 
-    return adding(device.clock_errors, gained_ns)
+    return add_until_undone(device.clock_errors, gained_ns)
 
 
 def _creeping(name: str, **fields: Any) -> FaultRow:
     """Create a variant of a fault that creeps. In 30 % of the test runs it begins at the start."""
-    return FaultRow(name, MOVED_REASONS, fields, start=0.3)
+    return FaultRow(name, MOVED_REASONS, fields, start_fraction=0.3)
 
 
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]

@@ -21,7 +21,7 @@ from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.spec.base import Model
 from tetractl.spec.lab_section import LabSection, entry
-from tetractl_emulator.fault_rows import scale_of
+from tetractl_emulator.fault_rows import length_scale
 from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.natnet_server import mangle, pack_answer, parse_request
@@ -138,7 +138,7 @@ class EmulatedOptitrack(PoseCamera):
         Returns:
             Values for the camera's section of a script's `emulation`, by name.
         """
-        return noise_of_day(chance, scale_of(lab, setup))
+        return noise_of_day(chance, length_scale(lab, setup))
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

@@ -191,7 +191,7 @@ class TrackedBody:
         If frames miss it in part, this is random.
         """
         name = self.robot.name
-        if self.acting.carried or self.acting.of_kind("untracked", name):
+        if self.acting.robots_are_carried or self.acting.of_kind("untracked", name):
             return False
         if any(self.exposures % fault.every for fault in self.acting.of_kind("half_tracked", name)):
             return False

@@ -35,9 +35,9 @@ from tetractl_emulator.faults import (
     ActingFaults,
     Fault,
     Share,
+    begin_by_switching,
     fault_kind,
     port_faults,
-    switching,
 )
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.pictures.dish.live_dish import CellBody, CoilField, Dish, cells_of, culture
@@ -102,7 +102,7 @@ class CurrentDriver(SerialDevice):
         """
         return DriverStatus.RUNNING in self.status
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Process bytes from the line, and reply to polls, as a real driver does.
 
         During the fault `late_driver`, the bytes are processed late. Later bytes wait for earlier
@@ -126,7 +126,7 @@ class CurrentDriver(SerialDevice):
             self._core.push(bytes([byte]), self._now_ms)
             reply = self._core.take_reply(self._now_ms)
             if reply and not self.acting.of_kind("mute"):
-                self._answer(reply)
+                self._send_to_program(reply)
 
     def advance(self, until_ns: int) -> None:
         """Advance the currents in steps of 1 ms, up to the time `until_ns` [ns].
@@ -146,12 +146,12 @@ class CurrentDriver(SerialDevice):
         if on:
             self._core = DriverCore(self._limits, self._now_ms)
 
-    def _command(self, sealed: bytes) -> dict[str, Any]:
+    def _decode_command(self, frame: bytes) -> dict[str, Any]:
         """Decode a command for the record: its sequence number, flags and currents [mA].
 
         WireError is raised if it is damaged.
         """
-        command = decode_command(sealed)
+        command = decode_command(frame)
         flags = int(command.flags)
         currents = [command.x_ma, command.y_ma]
         return {"sequence": command.sequence, "flags": flags, "currents_ma": currents}
@@ -241,7 +241,7 @@ FAULTS = (
             FaultRow("driver off", FIELD_REASONS),
             FaultRow("driver resets", FIELD_REASONS, {"for": value_between(0.01, 1)}),
         ],
-        begin=switching(lambda f, d: d.driver.switch, False),
+        begin=begin_by_switching(lambda f, d: d.driver.switch, False),
     ),
     fault_kind(
         "low_supply",
@@ -267,7 +267,7 @@ FAULTS = (
         "A cell stops swimming.",
         fields={"cell": Name},
         rows=[FaultRow("cell rests", SEEN_REASONS)],
-        begin=switching(_resting_switch),
+        begin=begin_by_switching(_resting_switch),
     ),
     fault_kind(
         "dives",
@@ -322,7 +322,7 @@ FAULTS = (
 class EmulatedField(PluggedDevices):
     """An emulated current driver on a pseudo-terminal, and the cells between its coils."""
 
-    what = "current driver"
+    description = "current driver"
     Settings: ClassVar[type[Model]] = FieldSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
     choosable: ClassVar[Sequence[str]] = tuple(f"cell {i + 1}" for i in range(6))
@@ -338,7 +338,7 @@ class EmulatedField(PluggedDevices):
         start_ns = stage.timeline.now_ns
         self.driver = CurrentDriver(
             stage.timeline,
-            stage.wires.port(stage.options.link or section.port),
+            stage.wires.port(stage.options.port_link or section.port),
             _driver_limits(section),
             section.baud,
             note=stage.note,
@@ -349,9 +349,9 @@ class EmulatedField(PluggedDevices):
         heading_walk = settings.heading_noise
         names = setup.names
         walls = None
-        if stage.options.chosen:
+        if stage.options.trials_choose_robots:
             walls = walls_of(setup)
-            dish_seed = seed if stage.options.dish is None else stage.options.dish
+            dish_seed = seed if stage.options.dish_seed is None else stage.options.dish_seed
             cells, names = culture(settings.cells, settings.strangers, heading_walk, dish_seed)
         else:
             cells = cells_of(setup, heading_walk, seed)
@@ -370,7 +370,7 @@ class EmulatedField(PluggedDevices):
         }
 
     @property
-    def wired(self) -> Sequence[CurrentDriver]:
+    def serial_devices(self) -> Sequence[CurrentDriver]:
         """The driver, which is the only device on a port."""
         return (self.driver,)
 

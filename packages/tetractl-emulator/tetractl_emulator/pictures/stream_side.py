@@ -198,7 +198,7 @@ class StreamedCamera(ABC):
     thread draws the images.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         settings: Settings of the stream.
         bodies: The robots.
 
@@ -263,7 +263,7 @@ class StreamedCamera(ABC):
         The order is that of the actuator's bodies.
         """
         covered = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
-        carried = self._stage.acting.carried
+        carried = self._stage.acting.robots_are_carried
         return [not carried and body.name not in covered for body in self._bodies]
 
     @abstractmethod

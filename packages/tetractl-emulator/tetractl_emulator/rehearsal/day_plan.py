@@ -12,8 +12,8 @@ import numpy as np
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Setup
 from tetractl.spec.lab_section import LabSection
-from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, Draw, FaultRow, scale_of
-from tetractl_emulator.script import Sides
+from tetractl_emulator.fault_rows import ENDLESS_STRENGTH, FaultRow, RandomChoices, length_scale
+from tetractl_emulator.script import DeviceClasses
 
 START_FRACTION = 0.16
 """Maximum distance of a robot from its start, as a fraction of the limit `start_mm`."""
@@ -89,7 +89,7 @@ def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
 
     Faults that concern a second robot are left out for a single robot.
     """
-    devices = Sides.of_types(lab.camera.type, lab.actuator.type)
+    devices = DeviceClasses.of_types(lab.camera.type, lab.actuator.type)
     rows = [row for kind in devices.faults.values() for row in kind.rows]
     return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
 
@@ -116,12 +116,12 @@ def plan_of_day(
     """
     # the order of the draws is part of the result: another one would change all days
     random = Random(f"{seed}-{day}")
-    devices = Sides.of_types(lab.camera.type, lab.actuator.type)
+    devices = DeviceClasses.of_types(lab.camera.type, lab.actuator.type)
     faults: list[dict[str, Any]] = []
     if with_faults:
         names = devices.actuator.choosable if chosen else setup.names
         span_s = SPAN_S + CHOICE_S if chosen else SPAN_S
-        scale = scale_of(lab, setup)
+        scale = length_scale(lab, setup)
         faults = faults_of_day(random, names, rows_of(lab, setup), span_s, scale)
     emulation: dict[str, Any] = {}
     for name, device in (("camera", devices.camera), ("actuator", devices.actuator)):
@@ -237,18 +237,18 @@ def _sample_fault(
     It begins in the first second after the start, at a time up to `span_s` [s], or within 0.5 s
     after the stop. Without the field `for`, it has no end.
     """
-    draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
-    fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
+    choices = RandomChoices(random, random.sample(names, len(names)), random.random(), scale)
+    fault: dict[str, Any] = {"kind": row.name, "right": row.reason_pattern, "fault": row.fault}
     for key, field_value in row.fields.items():
-        fault[key] = field_value(draw) if callable(field_value) else field_value
+        fault[key] = field_value(choices) if callable(field_value) else field_value
     chance = random.random()
-    if chance < row.start:
+    if chance < row.start_fraction:
         fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
-    elif chance > 1 - row.stop:
+    elif chance > 1 - row.stop_fraction:
         fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
     else:
         fault["at"] = round(random.uniform(0, span_s), 3)
-    if not row.at_once and "for" not in fault and draw.strength < ENDLESS_STRENGTH:
+    if not row.at_once and "for" not in fault and choices.strength < ENDLESS_STRENGTH:
         fault["for"] = round(0.02 * 800 ** random.random(), 3)  # from 20 ms to 16 s
     return fault
 

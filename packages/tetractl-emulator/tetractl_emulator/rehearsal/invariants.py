@@ -37,13 +37,13 @@ from tetractl_emulator.rehearsal.outcome_invariants import (
     reason_names_a_fault,
 )
 from tetractl_emulator.rehearsal.truth import (
-    EMERGENCY,
-    LATCHED,
-    MOVES_MM_S,
-    RUNNING,
-    SILENT,
+    EMERGENCY_FLAG,
+    LATCHED_BIT,
+    RUNNING_BIT,
+    SILENT_BIT,
     TRANSIT_S,
-    Event,
+    VISIBLE_SPEED_MM_S,
+    RecordedEvent,
     Truth,
     Violation,
     VisibleFault,
@@ -77,7 +77,7 @@ NOISE_MM = 4.0
 """Noise of a position of the worst camera [mm]."""
 TILT_NOISE_RAD = 0.05
 """Noise of a tilt of the worst camera [rad]."""
-MOTION_SEEN_S = NOISE_MM / MOVES_MM_S
+MOTION_SEEN_S = NOISE_MM / VISIBLE_SPEED_MM_S
 """Time after which the slowest motion that counts exceeds the noise [s]."""
 POSE_MM = 47.5
 """Maximum error of an accepted position [mm].
@@ -140,7 +140,7 @@ def driven_blind(truth: Truth) -> Iterator[Violation]:
     too seldom, or if the controller gives no direction. Only the first finding is reported. Test
     runs in which poses froze like those of stationary robots are not checked.
     """
-    if truth.froze_as_rest:
+    if truth.frozen_poses_look_stationary:
         return
     violation = _first_blind_command(truth)
     if violation is None:
@@ -161,20 +161,20 @@ def _first_blind_command(truth: Truth) -> Violation | None:
     3. When the command is sent, the controller has given no direction for too long: `reaction` plus
        the longer of `stream_lost` and `late_steps` + 1 control periods.
 
-    If frames are late but their times do not show it, `late_s` is added in the first two cases. If
-    nothing could be sent in a test run, or if our process was killed, the next command may be
-    missing for this reason. The first two cases are then checked when a command is sent, and the
-    third is not checked.
+    If frames are late but their times do not show it, `hidden_delay_s` is added in the first two
+    cases. If nothing could be sent in a test run, or if our process was killed, the next command
+    may be missing for this reason. The first two cases are then checked when a command is sent, and
+    the third is not checked.
     """
     limits = truth.limits
-    driven_max_s = limits.stale + limits.reaction + truth.late_s
-    any_max_s = limits.untracked_abort + limits.reaction + truth.late_s
+    driven_max_s = limits.stale + limits.reaction + truth.hidden_delay_s
+    any_max_s = limits.untracked_abort + limits.reaction + truth.hidden_delay_s
     late_steps_s = (limits.late_steps + 1) * truth.setup.period_s
     undirected_max_s = max(limits.stream_lost, late_steps_s) + limits.reaction
-    mute = truth.met(*MUTE) or truth.killed
+    mute = truth.had_fault(*MUTE) or truth.was_killed
     off_floor = [fault for fault in hiding_faults(truth) if fault.name in LIFTING_FAULTS]
     for k, command in enumerate(truth.commands):
-        driven = np.array(truth.drives(command), bool)
+        driven = np.array(truth.driven_by(command), bool)
         if not driven.any():
             continue
         unseen_s = _unseen_s(truth, command, 0.0 if mute else truth.acting_s[k], off_floor)
@@ -190,7 +190,7 @@ def _first_blind_command(truth: Truth) -> Violation | None:
 
 
 def _unseen_s(
-    truth: Truth, command: Event, acts_s: float, off_floor: Sequence[VisibleFault]
+    truth: Truth, command: RecordedEvent, acts_s: float, off_floor: Sequence[VisibleFault]
 ) -> Floats:
     """Compute how long each robot was not shown when a command had acted for `acts_s`, shape (N,).
 
@@ -201,7 +201,7 @@ def _unseen_s(
     at_s = time_s(command)
     for fault in off_floor:
         if fault.span.began_s < at_s < fault.span.ended_s:
-            robot = truth.robot_of(fault)
+            robot = truth.robot_index_of(fault)
             unseen_s[robot] = max(unseen_s[robot], at_s + acts_s - fault.span.began_s)
     return unseen_s
 
@@ -213,7 +213,7 @@ def _first_seldom_shown(truth: Truth) -> Violation | None:
     out pauses. A robot counts as unseen if it has not been shown for `stale` plus the longest delay
     of frames. `_first_blind_command` checks how old a pose may be.
     """
-    row_s = np.diff(truth.times_s, append=truth.alive_s).clip(0.0, FRAME_S * 2)
+    row_s = np.diff(truth.times_s, append=truth.process_ended_s).clip(0.0, FRAME_S * 2)
     driving_s = np.where(_may_be_driven(truth), row_s, 0.0)
     driven_s = np.cumsum(driving_s)
     is_unseen = truth.unseen_s > truth.limits.stale + truth.longest_delay_s
@@ -259,7 +259,7 @@ def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     yield from _emergency_stop_is_sent(truth)
     yield from _latched_robots_stay(truth)
     yield from _none_runs_again(truth)
-    if not truth.met(*MUTE) and not truth.killed:
+    if not truth.had_fault(*MUTE) and not truth.was_killed:
         yield from _stops_are_sent(truth)
         yield from _stops_are_repeated(truth)
     yield from _run_begins_at_rest(truth)
@@ -272,7 +272,7 @@ def _not_at_rest(at_s: float, finding: str) -> Violation:
 
 def _radio_late_s(truth: Truth) -> float:
     """Compute the total delay of commands that faults of the radio cause [s]. 0 without any."""
-    return truth.delay_s("late_radio", "overtaken_packets", "reboots")
+    return truth.total_delay_s("late_radio", "overtaken_packets", "reboots")
 
 
 def _wheels_stand(truth: Truth) -> Iterator[Violation]:
@@ -282,10 +282,10 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
     Test runs in which another program drove the robots are not checked, because it may start at any
     time.
     """
-    if truth.met(*DRIVEN_BY_OTHERS):
+    if truth.had_fault(*DRIVEN_BY_OTHERS):
         return
     bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
-    must_rest = truth.times_s > truth.left_s + bound_s
+    must_rest = truth.times_s > truth.undriven_from_s + bound_s
     rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
     if rolls.any():
         row, i = np.argwhere(rolls)[0]
@@ -304,22 +304,24 @@ def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
     repeated poses, which made robots seem to stand still; and robots that no camera showed before a
     run began.
     """
-    hidden = truth.creeping or truth.met("repeat", "freeze", "swap", *MUTE)
-    if truth.killed or hidden or not len(truth.times_s):
+    hidden = truth.creeping_faults or truth.had_fault("repeat", "freeze", "swap", *MUTE)
+    if truth.was_killed or hidden or not len(truth.times_s):
         return
     is_turning = truth.wheel_speed_mm_s > ROLLS_MM_S
-    is_last_moment = (truth.times_s > truth.alive_s - LEFT_SEEN_S) & (truth.times_s < truth.alive_s)
+    is_last_moment = (truth.times_s > truth.process_ended_s - LEFT_SEEN_S) & (
+        truth.times_s < truth.process_ended_s
+    )
     is_shown: Bools = np.all(truth.unseen_s[is_last_moment] < SHOWN_S, axis=0)
     drives_on: Bools = is_turning[-1] & np.all(is_turning[is_last_moment], axis=0)
-    could_be_held = not truth.met(*STOP_LOSING_FAULTS, "late_radio", "overtaken_packets")
-    for i in np.flatnonzero(drives_on & (is_shown | (truth.began_s < np.inf))).tolist():
+    could_be_held = not truth.had_fault(*STOP_LOSING_FAULTS, "late_radio", "overtaken_packets")
+    for i in np.flatnonzero(drives_on & (is_shown | (truth.steering_began_s < np.inf))).tolist():
         name = truth.setup.names[i]
-        if name not in truth.named_at_the_end:
+        if name not in truth.robots_named_at_end:
             yield _not_at_rest(
-                truth.alive_s, f"{name} is left driving, and the report does not name it"
+                truth.process_ended_s, f"{name} is left driving, and the report does not name it"
             )
         elif is_shown[i] and could_be_held:
-            yield _not_at_rest(truth.alive_s, f"{name} is left driving")
+            yield _not_at_rest(truth.process_ended_s, f"{name} is left driving")
 
 
 def _no_command_drives(truth: Truth) -> Iterator[Violation]:
@@ -328,7 +330,11 @@ def _no_command_drives(truth: Truth) -> Iterator[Violation]:
     Only the first violation is yielded.
     """
     for command, acts_s in zip(truth.commands, truth.acting_s.tolist(), strict=True):
-        if time_s(command) > truth.ended_s and acts_s > TRANSIT_S and any(truth.drives(command)):
+        if (
+            time_s(command) > truth.driving_ended_s
+            and acts_s > TRANSIT_S
+            and any(truth.driven_by(command))
+        ):
             yield _not_at_rest(time_s(command), "a command drives")
             return
 
@@ -341,12 +347,16 @@ def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
     later than this must also have the flag. The check is skipped if nothing could be sent, or if
     our process ended within `TRANSIT_S`.
     """
-    pressed_s = truth.pressed_s
-    is_in_run = truth.first_s("run") < pressed_s < truth.alive_s - TRANSIT_S
-    if not is_in_run or truth.met(*MUTE):
+    pressed_s = truth.emergency_pressed_s
+    is_in_run = truth.first_event_s("run") < pressed_s < truth.process_ended_s - TRANSIT_S
+    if not is_in_run or truth.had_fault(*MUTE):
         return
-    stopping_s = [time_s(command) for command in truth.commands if command["flags"] & EMERGENCY]
-    others_s = [time_s(command) for command in truth.commands if not command["flags"] & EMERGENCY]
+    stopping_s = [
+        time_s(command) for command in truth.commands if command["flags"] & EMERGENCY_FLAG
+    ]
+    others_s = [
+        time_s(command) for command in truth.commands if not command["flags"] & EMERGENCY_FLAG
+    ]
     if not any(pressed_s - TRANSIT_S < at_s < pressed_s + TRANSIT_S for at_s in stopping_s):
         yield _not_at_rest(pressed_s, "no emergency stop is sent")
     if any(at_s > pressed_s + TRANSIT_S for at_s in others_s):
@@ -358,9 +368,9 @@ def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
 
     Test runs in which a robot restarted are not checked, because a restart releases the stop.
     """
-    latched = truth.has_status(LATCHED)
+    latched = truth.has_status(LATCHED_BIT)
     freed = (latched[:-1] & ~latched[1:]).any(axis=1)
-    if freed.any() and not truth.met(*RESTARTING_FAULTS):
+    if freed.any() and not truth.had_fault(*RESTARTING_FAULTS):
         freed_row = 1 + freed.argmax()
         yield _not_at_rest(
             float(truth.times_s[freed_row]), "the emergency stop of a robot is released"
@@ -379,17 +389,17 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     it. A radio that delays all commands equally also delays the final stop. Test runs in which
     another program drove the robots are not checked.
     """
-    heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio", "reboots")
-    overtaken_s = truth.delay_s("overtaken_packets")
+    heard_s = truth.driving_ended_s + TRANSIT_S + truth.total_delay_s("late_radio", "reboots")
+    overtaken_s = truth.total_delay_s("overtaken_packets")
     numbered = any("sequence" in command for command in truth.commands)
     if not numbered or overtaken_s > FORGET_S:
         heard_s += overtaken_s
     is_after = (truth.times_s > heard_s)[:, None]
-    is_running = truth.has_status(RUNNING)
-    is_stationary = is_after & ~is_running & ~truth.has_status(SILENT)
+    is_running = truth.has_status(RUNNING_BIT)
+    is_stationary = is_after & ~is_running & ~truth.has_status(SILENT_BIT)
     has_stood = np.maximum.accumulate(is_stationary, axis=0)
     runs_again = (has_stood & is_running).any(axis=1)
-    if runs_again.any() and not truth.met(*DRIVEN_BY_OTHERS):
+    if runs_again.any() and not truth.had_fault(*DRIVEN_BY_OTHERS):
         yield _not_at_rest(
             float(truth.times_s[runs_again.argmax()]), "a robot is driven again after its stop"
         )
@@ -404,8 +414,8 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
     """
     for span in truth.driven_spans:
         until_s = span.ended_s + truth.watchdog_s
-        sent = [at_s for at_s in truth.halts_s if span.ended_s - TRANSIT_S < at_s < until_s]
-        if len(sent) < STOPS_MIN and until_s < truth.alive_s:
+        sent = [at_s for at_s in truth.stop_commands_s if span.ended_s - TRANSIT_S < at_s < until_s]
+        if len(sent) < STOPS_MIN and until_s < truth.process_ended_s:
             yield _not_at_rest(span.ended_s, f"only {len(sent)} stops were sent")
             return
 
@@ -419,17 +429,17 @@ def _stops_are_repeated(truth: Truth) -> Iterator[Violation]:
     shown; while a fault makes it seem to move; and while it has not been shown for one watchdog
     time longer than another robot.
     """
-    stops_s = np.array([-np.inf, *truth.halts_s])
+    stops_s = np.array([-np.inf, *truth.stop_commands_s])
     times_s = truth.times_s
     unseen_s = truth.unseen_s
     restless = ((truth.wheel_speed_mm_s > DRIVEN_MM_S) & (unseen_s < SHOWN_S)).any(axis=1)
     restless |= np.ptp(unseen_s, axis=1) > truth.watchdog_s
-    for fault in truth.shown_moving:
+    for fault in truth.faults_showing_motion:
         restless |= (times_s > fault.span.began_s) & (times_s < fault.span.ended_s)
-    restless &= times_s > truth.ended_s
-    at_rest_s = np.maximum.accumulate(np.where(restless, truth.ended_s, times_s))
+    restless &= times_s > truth.driving_ended_s
+    at_rest_s = np.maximum.accumulate(np.where(restless, truth.driving_ended_s, times_s))
     must_stop = restless & (times_s - at_rest_s > ROLL_S + MOTION_SEEN_S)
-    must_stop &= times_s < min(truth.ended_s + WATCHED_S, truth.alive_s)
+    must_stop &= times_s < min(truth.driving_ended_s + WATCHED_S, truth.process_ended_s)
     stop_age_s = times_s - stops_s[np.searchsorted(stops_s, times_s) - 1]
     too_old = must_stop & (stop_age_s > MOTION_SEEN_S + TRANSIT_S)
     if too_old.any():
@@ -446,12 +456,12 @@ def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
 
     The fault must have shown the motion for long enough to be seen.
     """
-    begins_s = truth.first_s("run")
+    begins_s = truth.first_event_s("run")
     shown_s = MOTION_SEEN_S + truth.limits.latency + TRANSIT_S
-    for fault in truth.shown_moving:
+    for fault in truth.faults_showing_motion:
         if fault.span.began_s + shown_s < begins_s < fault.span.ended_s:
             yield _not_at_rest(
-                begins_s, f"a run starts although the camera shows motion: {fault.kind}"
+                begins_s, f"a run starts although the camera shows motion: {fault.variant}"
             )
 
 
@@ -467,10 +477,10 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     place of a single robot and the worst place of a pair are reported. Test runs in which another
     program drove the robots, or in which false poses look like true ones, are not checked.
     """
-    if not len(truth.times_s) or truth.met(*DRIVEN_BY_OTHERS) or truth.false_as_true:
+    if not len(truth.times_s) or truth.had_fault(*DRIVEN_BY_OTHERS) or truth.false_poses_look_true:
         return
     speed_mm_s = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
-    wrong_mm = np.maximum.accumulate(truth.error_mm, axis=0)
+    wrong_mm = np.maximum.accumulate(truth.position_error_mm, axis=0)
     allowed_mm = wrong_mm + speed_mm_s * _rolls_on_s(truth) + NOISE_MM / 2
     pushed_mm = _pushed_mm(truth)
     names = truth.setup.names
@@ -504,10 +514,10 @@ def _rolls_on_s(truth: Truth) -> Floats:
     fail, the robot's watchdog is added.
     """
     stops_s = TRANSIT_S + LAG_MAX_S + _radio_late_s(truth)
-    if truth.met(*STOP_LOSING_FAULTS):
+    if truth.had_fault(*STOP_LOSING_FAULTS):
         stops_s += truth.watchdog_s
     driven_unseen_s = np.where(truth.wheel_speed_mm_s > DRIVEN_MM_S, truth.unseen_s, 0.0)
-    unseen_s = np.maximum.accumulate(driven_unseen_s, axis=0) + truth.late_s
+    unseen_s = np.maximum.accumulate(driven_unseen_s, axis=0) + truth.hidden_delay_s
     return np.maximum(0.0, unseen_s + stops_s - truth.limits.reaction)
 
 
@@ -540,7 +550,7 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
     """
     yield from _false_poses_stay_refused(truth)
     yield from _hidden_robots_have_no_pose(truth)
-    if not truth.false_as_true:
+    if not truth.false_poses_look_true:
         yield from _accepted_poses_are_true(truth)
         yield from _result_is_true(truth)
 
@@ -554,8 +564,8 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
     the times at which it may have been exposed, because the robot moves until the next frame.
     """
     is_driven = truth.wheel_speed_mm_s > DRIVEN_MM_S
-    is_before_end = (truth.times_s < truth.ended_s)[:, None]
-    checked = truth.fresh & is_driven & is_before_end
+    is_before_end = (truth.times_s < truth.driving_ended_s)[:, None]
+    checked = truth.is_fresh & is_driven & is_before_end
     off_mm, off_rad = _least_pose_errors(truth)
     turned_rad = sum(abs(fault.fields.get("turn", 0.0)) for fault in truth.faults_of("pushed"))
     for errors, error_max, unit in (
@@ -578,25 +588,25 @@ def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
     """Compute the distance of each accepted pose from the nearest true pose of its robot.
 
     Only true poses from the time in which the pose may have been exposed are compared. This time
-    ends at the row's exposure, and lasts `late_s`. It is longer if the pose repeats the previous
-    one to the last bit, because a frozen pose looks like the pose of a stationary robot. `stale`,
-    `TRANSIT_S` and the watchdog are then added, because no command acts longer than this.
+    ends at the row's exposure, and lasts `hidden_delay_s`. It is longer if the pose repeats the
+    previous pose to the last bit, because a frozen pose looks like the pose of a stationary robot.
+    `stale`, `TRANSIT_S` and the watchdog are then added, because no command acts longer than this.
 
     Returns:
         The distance to the nearest position [mm] (T, N), and to the nearest heading [rad] (T, N).
         The two may come from different exposures. Infinite if no pose was accepted.
     """
     frozen_s = truth.limits.stale + TRANSIT_S + truth.watchdog_s
-    may_be_old_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
+    may_be_old_s = truth.hidden_delay_s + np.where(truth.is_repeated, frozen_s, 0.0)
     rows = np.arange(len(truth.times_s))[:, None]
     earliest_rows = np.searchsorted(truth.times_s, truth.times_s[:, None] - may_be_old_s)
-    robots = np.arange(truth.fresh.shape[1])
-    least_mm = np.full(truth.fresh.shape, np.inf)
+    robots = np.arange(truth.is_fresh.shape[1])
+    least_mm = np.full(truth.is_fresh.shape, np.inf)
     least_rad = least_mm.copy()
     most_rows_back = int((rows - earliest_rows).max(initial=0))
     for rows_back in range(most_rows_back + 1):
         exposed_rows = np.maximum(rows - rows_back, earliest_rows)
-        differences = truth.accepted - truth.poses[exposed_rows, robots]
+        differences = truth.accepted_poses - truth.poses[exposed_rows, robots]
         off_mm = np.hypot(differences[..., 0], differences[..., 1])
         off_rad = np.abs(np.remainder(differences[..., 2] + np.pi, 2 * np.pi) - np.pi)
         least_mm = np.fmin(least_mm, off_mm)  # leaves out NaN, where there is no pose
@@ -624,7 +634,7 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
             accepted_s = refused_s = np.inf
             for row in rows:
                 at_s = float(truth.times_s[row])
-                if not truth.fresh[row, i]:
+                if not truth.is_fresh[row, i]:
                     refused_s = at_s
                     continue
                 was_refused = refused_s - accepted_s > REFUSED_S
@@ -635,7 +645,7 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
                 paused = any(accepted_s < ready < at_s for ready in ready_s)
                 if was_refused and lasts and is_only_fault and not paused:
                     finding = (
-                        f"a false pose of {truth.setup.names[i]} is accepted again: {fault.kind}"
+                        f"a false pose of {truth.setup.names[i]} is accepted again: {fault.variant}"
                     )
                     yield Violation("untrue", at_s, finding)
                     return
@@ -655,7 +665,7 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
         began_s = fault.span.began_s + arrives_s
         ended_s = fault.span.ended_s - 2 * FRAME_S
         is_hidden = (truth.times_s > began_s) & (truth.times_s < ended_s)
-        is_shown = is_hidden & truth.fresh[:, truth.robot_of(fault)]
+        is_shown = is_hidden & truth.is_fresh[:, truth.robot_index_of(fault)]
         if is_shown.any():
             at_s = float(truth.times_s[is_shown.argmax()])
             yield Violation("untrue", at_s, f"the name {fault.fields['robot']} is not hidden")
@@ -700,7 +710,7 @@ def hiding_faults(truth: Truth) -> Iterator[VisibleFault]:
     Nothing is yielded if robots were swapped in the test run, because each is then shown as
     another.
     """
-    if truth.met("swap"):
+    if truth.had_fault("swap"):
         return
     limits = truth.limits
     for fault in truth.faults:
@@ -720,7 +730,7 @@ def _highest_mm(truth: Truth, fault: VisibleFault) -> float:
     the robot.
     """
     limit_mm = truth.limits.height_mm[1]
-    if fault.span.began_s <= truth.first_s("run"):
+    if fault.span.began_s <= truth.first_event_s("run"):
         return limit_mm
     return min(limit_mm, BODY_MM + LIFTED_MM)
 

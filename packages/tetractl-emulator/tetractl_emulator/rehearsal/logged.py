@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.poses import Floats
-from tetractl_emulator.rehearsal.truth import RUN, Truth, Violation, time_s
+from tetractl_emulator.rehearsal.truth import RUN_FLAG, Truth, Violation, time_s
 
 NOTED_S = 0.002  # from a transmission to its record: the poll of the wire
 MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent
@@ -25,11 +25,11 @@ def logged(truth: Truth) -> Iterator[Violation]:
     log = truth.trial
     if log is None or log.result is None or log.damage is not None:
         return
-    if not truth.met(*MUTE):
+    if not truth.had_fault(*MUTE):
         yield from _commands(truth)
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
         yield Violation("log", 0.0, "a frame is logged twice, or too late")
-    if not truth.met(*STREAM, *FAULTY):
+    if not truth.had_fault(*STREAM, *FAULTY):
         yield from _whole(truth, truth.logged_exposures.tolist())
 
 
@@ -42,7 +42,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
         if finding:
             yield Violation("log", command.sent_ns / 1e9, finding)
             return
-    driven_s = [time_s(command) for command in truth.commands if any(truth.drives(command))]
+    driven_s = [time_s(command) for command in truth.commands if any(truth.driven_by(command))]
     stop_s = truth.trial.commands[-1].sent_ns / 1e9
     if driven_s and driven_s[-1] > stop_s + NOTED_S:
         yield Violation(
@@ -52,7 +52,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     # a driver hears a last stop as its port is closed
     ends_s = max([*driven_s, *logged_s])
     sent_s = truth.commanded_s
-    for at_s in sent_s[(sent_s > truth.began_s) & (sent_s <= ends_s)].tolist():
+    for at_s in sent_s[(sent_s > truth.steering_began_s) & (sent_s <= ends_s)].tolist():
         if not ((logged_s <= at_s) & (logged_s >= at_s - NOTED_S)).any():
             yield Violation("log", at_s, "lacks a command")
             return
@@ -71,11 +71,11 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
     messages = [truth.commands[k] for k in np.flatnonzero(is_noted)]
     if not messages:
         return "the log has a command that was not sent"
-    if command.action == Stop() and all(message["flags"] & RUN for message in messages):
+    if command.action == Stop() and all(message["flags"] & RUN_FLAG for message in messages):
         return "the log has a stop where robots were driven"
     if (logged_s == at_s).sum() > len(messages):
         return "the log has a command twice"
-    drives = [truth.drives(message) for message in messages]
+    drives = [truth.driven_by(message) for message in messages]
     if isinstance(command.action, Steer) and not _reached(command.delivered, drives):
         return "the log has a robot driven that was not"
     return ""
@@ -84,7 +84,7 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
 def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> bool:
     """Check that every robot to which a command was delivered is driven by one of its messages.
 
-    Each entry of `drives` is a message, and states for each robot whether it drives it. Without
+    Each entry of `driven_by` is a message, and states for each robot whether it drives it. Without
     messages, nothing is checked and the result is True.
     """
     driven = [any(messages) for messages in zip(*drives, strict=False)]

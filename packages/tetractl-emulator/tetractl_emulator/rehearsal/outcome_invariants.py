@@ -61,9 +61,9 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
     if truth.day.exit_code == HUNG:
         return
     log = truth.log
-    may_be_damaged = truth.killed or truth.met("disk_full")
+    may_be_damaged = truth.was_killed or truth.had_fault("disk_full")
     if isinstance(log, str):
-        if log or truth.began_s < np.inf:
+        if log or truth.steering_began_s < np.inf:
             yield Violation("log", 0.0, log or "none was written")
     elif log.result is None or log.damage is not None:
         if not may_be_damaged:
@@ -98,7 +98,7 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     if day.left_behind:
         yield _exit_violation(f"left behind: {day.left_behind}")
     expected = _expected_code(truth)
-    never_began = truth.began_s == np.inf and truth.met("signal")
+    never_began = truth.steering_began_s == np.inf and truth.had_fault("signal")
     if day.exit_code != expected and not (never_began and day.exit_code == INTERRUPTED):
         yield _exit_violation(f"{day.exit_code}, not {expected}")
     if truth.trial is not None and _longest_late_run(truth) > truth.limits.late_steps:
@@ -122,7 +122,7 @@ def _expected_code(truth: Truth) -> int:
     emulation, and the log gets its result after the last tick.
     """
     if truth.trial is None or truth.trial.result is None:
-        return KILLED if truth.killed and truth.day.exit_code < 0 else 1
+        return KILLED if truth.was_killed and truth.day.exit_code < 0 else 1
     outcome = truth.trial.result.outcome
     if outcome.complete:
         return 0
@@ -142,20 +142,20 @@ def _check_valid_trial(truth: Truth) -> Iterator[Violation]:
 
     Other limits of the spec are not checked here.
     """
-    end_s = truth.alive_s
-    pressed_s = truth.pressed_s
-    if truth.first_s("run") < pressed_s < end_s - TRANSIT_S:
+    end_s = truth.process_ended_s
+    pressed_s = truth.emergency_pressed_s
+    if truth.first_event_s("run") < pressed_s < end_s - TRANSIT_S:
         yield _exit_violation("a trial counts although the emergency stop was pressed", pressed_s)
     is_before_end = truth.times_s <= end_s
     last_unseen_s = truth.unseen_s[is_before_end][-1:]
     unseen_max_s = last_unseen_s.max(initial=0.0)
-    if unseen_max_s > truth.limits.stream_lost and not truth.froze_as_rest:
+    if unseen_max_s > truth.limits.stream_lost and not truth.frozen_poses_look_stationary:
         yield _exit_violation(
             f"a trial counts although a robot was unseen for {unseen_max_s:.2f} s", end_s
         )
-    for fault in truth.shown_moving:
-        if fault.span.began_s < truth.ended_s + TRANSIT_S and fault.span.ended_s > end_s:
-            finding = f"a trial counts although the camera shows motion: {fault.kind}"
+    for fault in truth.faults_showing_motion:
+        if fault.span.began_s < truth.driving_ended_s + TRANSIT_S and fault.span.ended_s > end_s:
+            finding = f"a trial counts although the camera shows motion: {fault.variant}"
             yield _exit_violation(finding, end_s)
 
 
@@ -206,7 +206,7 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
         return
     at_s = min(truth.abort_s, NO_ABORT_S)
     patterns = [PLACE_REASONS, *(str(fault.fields["right"]) for fault in truth.faults)]
-    if truth.froze_as_rest:
+    if truth.frozen_poses_look_stationary:
         patterns.append(MOTION_REASONS)
     is_named = any(re.search(pattern, reason, re.IGNORECASE) for pattern in patterns)
     if not truth.day.plan.faults or not is_named:

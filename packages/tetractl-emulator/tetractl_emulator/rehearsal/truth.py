@@ -3,11 +3,12 @@
 A test run of a rehearsal is called a day. The emulation records its events as JSON lines, each with
 its kind (`event`) and its time (`t_ns`):
 
-| event | recorded | content | |---|---|---| | `truth` | at an exposure of the camera | poses,
-wheels, and for how long each robot is unseen | | `command` | as it leaves the wire | flags, driven
-robots, and for how long each is unseen | | `guard` | when the guard changes its state | the state:
-`wait`, `run`, `hold`, `abort` ... | | `fault` | when a fault begins and ends | its row in the day's
-plan |
+| event     | recorded                        | content                                           |
+| --------- | ------------------------------- | ------------------------------------------------- |
+| `truth`   | at an exposure of the camera    | poses, wheels, how long each robot was unseen     |
+| `command` | when it leaves the wire         | flags, driven robots, how long each was unseen    |
+| `guard`   | when the guard's state changes  | the state: `wait`, `run`, `hold`, `abort` ...     |
+| `fault`   | when a fault begins and ends    | the fault's row in the day's plan                 |
 
 `Truth` converts these events and the trial's log to arrays. T counts exposures, N robots, C
 commands, F frames of the log, K corners of a shape. Times are seconds since the emulation began,
@@ -41,51 +42,51 @@ from tetractl_emulator.fault_rows import FRAME_S
 from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import DayOutcome
 
-Event = Mapping[str, Any]
+RecordedEvent = Mapping[str, Any]
 """A recorded event: a row of the table above, as a mapping."""
 
-RUN = 1
+RUN_FLAG = 1
 """Flag of a command: robots may be driven."""
-EMERGENCY = 2
+EMERGENCY_FLAG = 2
 """Flag of a command: robots stop until they are switched off."""
-RUNNING = 1
+RUNNING_BIT = 1
 """Bit of a robot's status: it obeys a command that drives it."""
-LATCHED = 2
+LATCHED_BIT = 2
 """Bit of a robot's status: it has received an emergency stop."""
-SILENT = 4
+SILENT_BIT = 4
 """Bit of a robot's status: it has received no command for the time of its watchdog."""
 
 DRIVING_STATES = ("run", "hold")
 """States of the guard in which it lets robots be driven."""
 LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
 """Names of the faults that make frames late by their field `by`."""
-MOVES_MM_S = 10.0
-"""Minimum speed that images of a second show clearly [mm/s]."""
-MOVES_RAD_S = 0.1
-"""Minimum turning rate that images of a second show clearly [rad/s]."""
+VISIBLE_SPEED_MM_S = 10.0
+"""Minimum speed that a camera shows clearly within one second [mm/s]."""
+VISIBLE_RATE_RAD_S = 0.1
+"""Minimum turning rate that a camera shows clearly within one second [rad/s]."""
 TRANSIT_S = 0.05
 """Maximum time from an event to its command at the robots [s].
 
-It includes a step of our program of 10 ms, a frame of the camera, the UART and the radio.
+It includes a step of our program (10 ms), a frame of the camera, the UART and the radio.
 """
 FROM_ORIGIN_MM = 1000.0
-"""Distance from the origin at which the speed of a growing image is computed; chosen [mm]."""
+"""Distance from the origin for which the speed of poses in a growing image is computed [mm]."""
 NOISE_MM_S = 5.0
-"""Speed that poses seem to have because of their noise; chosen [mm/s]."""
+"""Speed that the poses of stationary robots seem to have because of noise; chosen [mm/s]."""
 WHEEL_RADIUS = 0.04
-"""Distance from a wheel to the centre for robots whose spec has no wheels [length unit].
+"""Distance from a wheel to the robot's centre, if the spec has no wheels [length unit].
 
-It is that of an m3pi, in metres.
+It is the distance of an m3pi robot in metres.
 """
-UNKNOWN = -1
-"""Value in place of the index of an exposure that is not known."""
-NEAR_S = 0.02
-"""Maximum difference between the times of an image and of the exposure that it shows [s]."""
+NO_EXPOSURE = -1
+"""Index that stands for an unknown exposure."""
+EXPOSURE_MATCH_S = 0.02
+"""Maximum difference between the time of an image and the time of its exposure [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A violated invariant.
+    """A violation of an invariant in a randomised test run.
 
     Attributes:
         name: Name of the invariant.
@@ -117,11 +118,11 @@ class VisibleFault:
 
     Attributes:
         span: The interval in which it was visible.
-        fields: Its fields in the plan.
+        fields: The fault's fields in the plan of the test run.
     """
 
     span: TimeSpan
-    fields: Event
+    fields: RecordedEvent
 
     @property
     def name(self) -> str:
@@ -129,8 +130,8 @@ class VisibleFault:
         return str(self.fields["fault"])
 
     @property
-    def kind(self) -> str:
-        """Name of the fault's variant in the table of faults, such as `pose creeps`."""
+    def variant(self) -> str:
+        """Name of the fault's variant in randomised test runs, such as `pose creeps`."""
         return str(self.fields["kind"])
 
     @property
@@ -141,16 +142,16 @@ class VisibleFault:
     @property
     def speed_mm_s(self) -> float:
         """Speed at which a creeping fault moves a pose at FROM_ORIGIN_MM from the origin [mm/s]."""
-        grows_mm = abs(self.fields.get("scale", 1.0) - 1.0) * FROM_ORIGIN_MM
-        return (math.hypot(*self.fields.get("by", (0.0, 0.0))) + grows_mm) / FRAME_S
+        growth_mm = abs(self.fields.get("scale", 1.0) - 1.0) * FROM_ORIGIN_MM
+        return (math.hypot(*self.fields.get("by", (0.0, 0.0))) + growth_mm) / FRAME_S
 
     @property
-    def rate_rad_s(self) -> float:
+    def turn_rate_rad_s(self) -> float:
         """Absolute rate at which a creeping fault turns poses [rad/s]."""
         return abs(self.fields.get("turn", 0.0)) / FRAME_S
 
 
-def time_s(event: Event) -> float:
+def time_s(event: RecordedEvent) -> float:
     """Return the time of a recorded event [s] on the clock of the emulation."""
     return float(event["t_ns"] / SECOND)
 
@@ -160,22 +161,22 @@ def nearest_exposures(
 ) -> Integers:
     """Find the exposure that is nearest to the time of each image, shape (F,).
 
-    An image that arrives while our program is suspended waits, and gets its time only when it is
-    read. Its exposure is therefore unknown.
+    An image that arrives while our program is suspended waits, and gets its time only when the
+    program reads it. Its exposure is therefore unknown.
 
     Args:
         stamps_s: Times of the images [s], shape (F,).
-        exposures_s: Times of the exposures [s].
-        suspended: When our program was suspended.
+        exposures_s: Times of the exposures [s], shape (T,).
+        suspended: Intervals in which our program was suspended.
 
     Returns:
-        The index of each exposure. UNKNOWN if no exposure is near.
+        The index of the exposure of each image, shape (F,). NO_EXPOSURE if no exposure is near.
     """
-    apart_s = np.abs(exposures_s[:, None] - stamps_s)
-    is_certain = apart_s.min(axis=0) < NEAR_S
+    differences_s = np.abs(exposures_s[:, None] - stamps_s)
+    is_certain = differences_s.min(axis=0) < EXPOSURE_MATCH_S
     for span in suspended:
         is_certain &= (stamps_s < span.began_s) | (stamps_s > span.ended_s)
-    return np.where(is_certain, apart_s.argmin(axis=0), UNKNOWN)
+    return np.where(is_certain, differences_s.argmin(axis=0), NO_EXPOSURE)
 
 
 @dataclass
@@ -189,43 +190,46 @@ class Truth:
         setup: The constants of the experiment.
         limits: The limits of the lab.
         watchdog_s: Time without a command after which a robot stops by itself [s].
-        halts: Whether robots can stand still. False for cells.
+        can_stand_still: Whether robots can stand still. False for cells.
     """
 
     day: DayOutcome
     setup: Setup
     limits: LabLimits
     watchdog_s: float
-    halts: bool = True
+    can_stand_still: bool = True
 
     @property
     def unit_mm(self) -> float:
-        """Size of a length unit of the spec [mm]."""
+        """Size of the spec's length unit [mm]."""
         return self.setup.metres * 1000
 
     # What was recorded
 
     @cached_property
-    def _events_by_kind(self) -> dict[str, list[Event]]:
+    def _events_by_kind(self) -> dict[str, list[RecordedEvent]]:
         """The recorded events of each kind, in the order of time."""
-        by_kind = dict[str, list[Event]]()
+        by_kind = dict[str, list[RecordedEvent]]()
         for event in self.day.events:
             by_kind.setdefault(event["event"], []).append(event)
         return by_kind
 
-    def events(self, kind: str, **facts: Any) -> list[Event]:
+    def events(self, kind: str, **facts: Any) -> list[RecordedEvent]:
         """Return the events of a kind that have all the given facts, in the order of time."""
-        of_kind = self._events_by_kind.get(kind, [])
-        return [event for event in of_kind if facts.items() <= event.items()]
+        events_of_kind = self._events_by_kind.get(kind, [])
+        return [event for event in events_of_kind if facts.items() <= event.items()]
 
-    def first_s(self, kind: str, **facts: Any) -> float:
-        """Return the time of the first event of a kind with these facts [s]. inf if none exists."""
+    def first_event_s(self, kind: str, **facts: Any) -> float:
+        """Return the time of the first event of a kind with these facts [s].
+
+        The result is inf if there is no such event.
+        """
         return min(map(time_s, self.events(kind, **facts)), default=np.inf)
 
     # Exposures
 
     @cached_property
-    def exposures(self) -> list[Event]:
+    def exposures(self) -> list[RecordedEvent]:
         """The recorded events of the camera's T exposures, in the order of time."""
         return self.events("truth")
 
@@ -242,9 +246,9 @@ class Truth:
 
     @cached_property
     def wheel_speed_mm_s(self) -> Floats:
-        """Maximum speed of each robot's wheels at the exposures, shape (T, N) [mm/s].
+        """Absolute speed of each robot's faster wheel at the exposures, shape (T, N) [mm/s].
 
-        0 if unknown.
+        It is 0 if the wheel speeds are unknown.
         """
         count = len(self.setup.names)
         at_rest = [[0.0, 0.0]] * count
@@ -253,10 +257,9 @@ class Truth:
 
     @cached_property
     def unseen_s(self) -> Floats:
-        """Time since each robot was last shown, shape (T, N) [s].
+        """Time since the camera last showed each robot, at each exposure, shape (T, N) [s].
 
-        It is 0 if it is unknown, for example in a dish with other cells than those that are
-        steered.
+        It is 0 if it is unknown, for example in a dish with more cells than the steered ones.
         """
         count = len(self.setup.names)
         unknown = [0.0] * count
@@ -264,11 +267,11 @@ class Truth:
         rows_of_robots = [row if len(row) == count else unknown for row in rows]
         return np.array(rows_of_robots).reshape(-1, count) / 1000
 
-    def has_status(self, bit: int) -> Bools:
+    def has_status(self, status_bit: int) -> Bools:
         """Check whether robots have a status flag at the exposures, shape (T, N).
 
         Args:
-            bit: RUNNING, LATCHED or SILENT.
+            status_bit: RUNNING_BIT, LATCHED_BIT or SILENT_BIT.
 
         Returns:
             Whether the flag is set. False if the status is unknown.
@@ -276,10 +279,10 @@ class Truth:
         count = len(self.setup.names)
         unknown = [0] * count
         status = np.array([row.get("status", unknown) for row in self.exposures], dtype=int)
-        return (status.reshape(-1, count) & bit) > 0
+        return (status.reshape(-1, count) & status_bit) > 0
 
     @property
-    def alive_s(self) -> float:
+    def process_ended_s(self) -> float:
         """Time at which our process ended [s]. 0 if there was no exposure.
 
         The emulation continues for `AFTER_NS` after this time.
@@ -291,7 +294,7 @@ class Truth:
     # Commands
 
     @cached_property
-    def commands(self) -> list[Event]:
+    def commands(self) -> list[RecordedEvent]:
         """The recorded events of the C commands, in the order of time."""
         return self.events("command")
 
@@ -300,38 +303,39 @@ class Truth:
         """When each of the C recorded commands happened, shape (C,) [s]."""
         return np.array([*map(time_s, self.commands)])
 
-    def drives(self, command: Event) -> list[bool]:
-        """Return for each robot whether a recorded command lets it drive.
+    def driven_by(self, command: RecordedEvent) -> list[bool]:
+        """Check which robots a recorded command lets drive.
 
-        A command without motor speeds gives an empty list.
+        Returns:
+            One entry for each robot. The list is empty if the command contains no motor speeds.
         """
         if "drives" in command:
             return command["drives"]
-        may_run = bool(command["flags"] & RUN)
+        may_run = bool(command["flags"] & RUN_FLAG)
         return [may_run and any(wheels) for wheels in command.get("wheels", ())]
 
     @cached_property
-    def halts_s(self) -> list[float]:
-        """When each command happened that lets no robot drive [s], in the order of time."""
-        return [time_s(command) for command in self.commands if not any(self.drives(command))]
+    def stop_commands_s(self) -> list[float]:
+        """Times of the commands that let no robot drive [s], in the order of time."""
+        return [time_s(command) for command in self.commands if not any(self.driven_by(command))]
 
     @cached_property
     def acting_s(self) -> Floats:
         """How long each command acts, shape (C,) [s].
 
-        A command acts until the next one, or until the watchdog of a robot that receives none
-        expires.
+        A command acts until the next command, or until the robots' watchdogs expire because no
+        further command arrives.
         """
-        next_s = np.append(self.commanded_s[1:], self.alive_s)
+        next_s = np.append(self.commanded_s[1:], self.process_ended_s)
         return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
 
     @cached_property
     def undirected_s(self) -> Floats:
-        """Time from the last direction of the controller to each command, shape (C,) [s].
+        """Time since the controller last gave a direction, at each command, shape (C,) [s].
 
-        If robots were commanded to turn on the spot, the end of their turn counts. The time is 0
-        before the first direction, without a log, and after the last direction in an incomplete
-        log.
+        If robots were commanded to turn on the spot, the time counts from the end of their turn.
+        The time is 0 before the first direction, without a log, and after the last direction in an
+        incomplete log.
         """
         if self.trial is None or not self.trial.steps:
             return np.zeros(len(self.commanded_s))
@@ -364,26 +368,26 @@ class Truth:
             elif not may_drive and began_s is not None:
                 spans.append(TimeSpan(began_s, time_s(event)))
                 began_s = None
-        if began_s is not None and began_s < self.alive_s:
-            spans.append(TimeSpan(began_s, self.alive_s))
+        if began_s is not None and began_s < self.process_ended_s:
+            spans.append(TimeSpan(began_s, self.process_ended_s))
         return [span for span in spans if span.began_s < span.ended_s]
 
     @cached_property
-    def began_s(self) -> float:
+    def steering_began_s(self) -> float:
         """When the guard first let the controller steer [s]. inf if it never did."""
-        return self.first_s("guard", state="run")
+        return self.first_event_s("guard", state="run")
 
     @cached_property
     def abort_s(self) -> float:
         """Time of the guard's abort [s]. inf if there was none."""
-        return self.first_s("guard", state="abort")
+        return self.first_event_s("guard", state="abort")
 
     @cached_property
-    def ended_s(self) -> float:
-        """Time from which our program no longer drives robots [s].
+    def driving_ended_s(self) -> float:
+        """Time at which our program stopped driving robots for good [s].
 
         It is the time of the abort, or the time at which the guard left its driving states for
-        good. inf if neither happened.
+        good. It is inf if neither happened.
         """
         left_run_s = np.inf
         is_driving = False
@@ -397,122 +401,133 @@ class Truth:
         return min(self.abort_s, left_run_s)
 
     @property
-    def pressed_s(self) -> float:
+    def emergency_pressed_s(self) -> float:
         """Time of the first emergency stop by the operator [s]. inf if there was none."""
-        return self.first_s("fault", name="emergency", phase="start")
+        return self.first_event_s("fault", name="emergency", phase="start")
 
     @cached_property
-    def left_s(self) -> float:
-        """Time from which no process drives robots [s]: the end or a kill, whichever came first.
+    def undriven_from_s(self) -> float:
+        """Time from which no process drives robots any more [s].
 
-        It is inf if neither happened.
+        It is the time at which our program stopped driving, or the time at which a fault killed our
+        process, whichever came first. It is inf if neither happened.
         """
-        return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
+        return min(
+            [self.driving_ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)]
+        )
 
     # Faults
 
     @cached_property
     def faults(self) -> list[VisibleFault]:
-        """The faults that became visible, in the order in which they did.
+        """The faults that became visible, in the order in which they became visible.
 
-        The end of a fault that did not end is inf.
+        The span of a fault that did not end has the end inf.
         """
-        drawn = self.day.plan.faults_in_order
+        planned = self.day.plan.faults_in_order
         ended_s = {event["row"]: time_s(event) for event in self.events("fault", phase="end")}
         visible = list[VisibleFault]()
         for event in self.events("fault", phase="start"):
             row = event["row"]
             span = TimeSpan(time_s(event), ended_s.get(row, np.inf))
-            visible.append(VisibleFault(span, dict(drawn[row])))
+            visible.append(VisibleFault(span, dict(planned[row])))
         return visible
 
     def faults_of(self, *names: str) -> list[VisibleFault]:
-        """Return the visible faults with one of these names in a script, the earliest first."""
+        """Return the visible faults with one of these names, in the order of time."""
         return [fault for fault in self.faults if fault.name in names]
 
-    def robot_of(self, fault: VisibleFault) -> int:
+    def robot_index_of(self, fault: VisibleFault) -> int:
         """Return the index of the robot that has a fault, in the order of the spec."""
         return self.setup.names.index(fault.fields["robot"])
 
-    def delay_s(self, *names: str) -> float:
-        """Return the total delay that the visible faults with these names cause [s].
+    def total_delay_s(self, *names: str) -> float:
+        """Sum the delays that the visible faults with these names cause [s].
 
-        All such faults of the test run count, even if they have ended. 0 if there are none.
+        All such faults of the test run count, even if they have ended. The sum is 0 if there are no
+        such faults.
         """
         return sum(fault.fields["by"] for fault in self.faults_of(*names))
 
-    def met(self, *names: str) -> bool:
+    def had_fault(self, *names: str) -> bool:
         """Check whether a fault with one of these names became visible during the test run."""
         return bool(self.faults_of(*names))
 
     @cached_property
-    def killed(self) -> bool:
+    def was_killed(self) -> bool:
         """Whether a fault killed our process during this test run."""
         return any(fault.is_kill for fault in self.faults)
 
     @cached_property
-    def creeping(self) -> list[VisibleFault]:
-        """The visible faults that move poses further with each frame."""
-        return [f for f in self.faults if f.name == "ghost" or f.fields.get("creeps", False)]
-
-    @cached_property
-    def shown_moving(self) -> list[VisibleFault]:
-        """The visible faults that make a camera show motion clearly, even of stationary robots.
-
-        Empty if the robots cannot stand still, as cells.
-        """
+    def creeping_faults(self) -> list[VisibleFault]:
+        """The visible faults that move poses a little further with each frame."""
         return [
             fault
-            for fault in (self.creeping if self.halts else ())
-            if fault.speed_mm_s > MOVES_MM_S or fault.rate_rad_s > MOVES_RAD_S
+            for fault in self.faults
+            if fault.name == "ghost" or fault.fields.get("creeps", False)
         ]
 
     @cached_property
-    def false_as_true(self) -> bool:
-        """Whether false poses look like true ones, so that no camera can detect them.
+    def faults_showing_motion(self) -> list[VisibleFault]:
+        """The visible faults by which a camera clearly shows motion, even of stationary robots.
 
-        This is the case if they move no faster than wheels within `wheel_error` could move robots.
-        It is also the case if they crept before the run, so that all poses are measured in the
-        displaced image.
+        The list is empty for cells, which cannot stand still.
+        """
+        return [
+            fault
+            for fault in (self.creeping_faults if self.can_stand_still else ())
+            if fault.speed_mm_s > VISIBLE_SPEED_MM_S or fault.turn_rate_rad_s > VISIBLE_RATE_RAD_S
+        ]
+
+    @cached_property
+    def false_poses_look_true(self) -> bool:
+        """Whether false poses look like true poses in this test run, so that nothing reveals them.
+
+        This is the case if false poses move no faster than a robot could move because its wheel
+        speeds are wrong by `wheel_error`. It is also the case if the image crept before the run, so
+        that all poses are measured in the displaced image.
         """
         setup = self.setup
-        off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * self.unit_mm
-        off_rad_s = off_mm_s / ((setup.wheel_radius or WHEEL_RADIUS) * self.unit_mm)
-        for fault in self.creeping:
-            is_slow = fault.speed_mm_s <= off_mm_s + NOISE_MM_S and fault.rate_rad_s <= off_rad_s
-            was_before = fault.name == "picture" and fault.span.ended_s <= self.began_s
+        speed_error_mm_s = self.limits.wheel_error * float(setup.speed.max()) * self.unit_mm
+        rate_error_rad_s = speed_error_mm_s / ((setup.wheel_radius or WHEEL_RADIUS) * self.unit_mm)
+        for fault in self.creeping_faults:
+            is_slow = (
+                fault.speed_mm_s <= speed_error_mm_s + NOISE_MM_S
+                and fault.turn_rate_rad_s <= rate_error_rad_s
+            )
+            was_before = fault.name == "picture" and fault.span.ended_s <= self.steering_began_s
             if is_slow or was_before:
                 return True
         return False
 
     @cached_property
-    def froze_as_rest(self) -> bool:
-        """Whether a camera that measures on a grid repeated poses or frames in this test run.
+    def frozen_poses_look_stationary(self) -> bool:
+        """Whether poses froze in this test run and looked like the poses of stationary robots.
 
-        Such poses look like those of stationary robots.
+        This is the case if the camera measures on a grid, and a fault repeated its poses or frames.
         """
-        return self.setup.sight.coarse and self.met("repeat", "freeze")
+        return self.setup.sight.coarse and self.had_fault("repeat", "freeze")
 
     @cached_property
-    def numbered(self) -> bool:
-        """Whether the camera's frames have numbers other than 0. False without exposures."""
+    def has_frame_numbers(self) -> bool:
+        """Whether the camera numbers its frames. False if there were no exposures."""
         return any(exposure["frame"] for exposure in self.exposures)
 
     @cached_property
-    def dated(self) -> bool:
-        """Whether the camera's frames state their own times.
+    def has_frame_times(self) -> bool:
+        """Whether the camera's frames contain the times of their exposures.
 
-        Readings of a mat only have times of arrival.
+        For example, the readings of a mat only have times of arrival.
         """
-        return self.numbered and not self.setup.sight.coarse
+        return self.has_frame_numbers and not self.setup.sight.coarse
 
     @cached_property
-    def late_s(self) -> float:
-        """Maximum age of a frame beyond the age that it seems to have [s].
+    def hidden_delay_s(self) -> float:
+        """Maximum delay of a frame that the frame's time does not show [s].
 
-        It is 0 if frames state their own times, otherwise `longest_delay_s`.
+        It is 0 if frames contain the times of their exposures, otherwise `longest_delay_s`.
         """
-        return 0.0 if self.dated else self.longest_delay_s
+        return 0.0 if self.has_frame_times else self.longest_delay_s
 
     @cached_property
     def longest_delay_s(self) -> float:
@@ -520,26 +535,26 @@ class Truth:
 
         It is the sum over all such faults of the test run.
         """
-        late_s = self.delay_s(*LATE_FRAMES)
+        frames_late_s = self.total_delay_s(*LATE_FRAMES)
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
         busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))
-        return late_s + suspended_s + busy_s
+        return frames_late_s + suspended_s + busy_s
 
     # The log
 
     @cached_property
     def log(self) -> TrialLog | str:
-        """The trial's log. If it cannot be read, the error message. "" if there is no log."""
+        """The trial's log, or an error message if it cannot be read. "" if there is no log."""
         if self.day.log is None:
             return ""
         try:
-            return trial_of(self.raw)
+            return trial_of(self.raw_log)
         except (TetractlError, ValueError, KeyError) as error:
             return f"{type(error).__name__}: {error}"
 
     @cached_property
-    def raw(self) -> RawLog:
-        """The records of the log, which must exist.
+    def raw_log(self) -> RawLog:
+        """The raw records of the trial's log, which must exist.
 
         Raises:
             LogError: If the log has no records.
@@ -562,7 +577,7 @@ class Truth:
         return error[1] if error else ""
 
     @cached_property
-    def named_at_the_end(self) -> set[str]:
+    def robots_named_at_end(self) -> set[str]:
         """The robots that the run named as still moving, or as not shown to stand still.
 
         Empty if it named none.
@@ -578,12 +593,11 @@ class Truth:
     def exposure_of_frame(self) -> Integers:
         """Index of the exposure of each of the F frames in the log, shape (F,).
 
-        UNKNOWN if there is none.
-
-        It is found by the number of the frame. Images have no numbers, so it is then found by time.
+        The exposure is found by the number of the frame. Images have no numbers, so their exposures
+        are found by time. The index is NO_EXPOSURE if the exposure is unknown.
         """
         assert self.trial is not None, "a log was read"
-        if self.numbered:
+        if self.has_frame_numbers:
             return self._exposures_by_number(self.trial)
         host_s = self.times_s.copy()
         for fault in self.faults_of("host_clock"):
@@ -595,41 +609,43 @@ class Truth:
     def _exposures_by_number(self, trial: TrialLog) -> Integers:
         """Find the exposure of each frame in a log by the frame's number, shape (F,).
 
-        UNKNOWN if no exposure has the number. If several have it, the nearest in time counts.
+        If several exposures have the number, the nearest in time counts. The index is NO_EXPOSURE
+        if no exposure has the number.
         """
         numbers = np.array([exposure["frame"] for exposure in self.exposures])
         times_ns = self.times_s * SECOND
-        row_of_frame = np.full(len(trial.frames), UNKNOWN)
-        for k, number in enumerate(trial.frames):
+        row_of_frame = np.full(len(trial.frames), NO_EXPOSURE)
+        for i, number in enumerate(trial.frames):
             rows = np.flatnonzero(numbers == number)
             if len(rows):  # a counter that goes back repeats numbers: the nearest in time is meant
-                row_of_frame[k] = rows[np.abs(times_ns[rows] - trial.mocap_ns[k]).argmin()]
+                row_of_frame[i] = rows[np.abs(times_ns[rows] - trial.mocap_ns[i]).argmin()]
         return row_of_frame
 
     @property
     def has_exposure(self) -> Bools:
         """Whether the exposure of each frame in the log is known, shape (F,)."""
-        return self.exposure_of_frame != UNKNOWN
+        return self.exposure_of_frame != NO_EXPOSURE
 
     @cached_property
     def logged_exposures(self) -> Integers:
-        """Indices of the exposures of those frames in the log whose exposure is known."""
+        """Indices of the known exposures of frames in the log, in the order of the log."""
         return self.exposure_of_frame[self.has_exposure]
 
     @property
     def final_exposure(self) -> int:
         """Index of the exposure of the last frame in the log.
 
-        After it, people may move robots. Without such a frame, it is the last exposure of all.
+        After this exposure, people may move robots. If the exposure of no frame is known, the index
+        is -1, which means the last exposure of all.
         """
         return int(self.logged_exposures[-1]) if len(self.logged_exposures) else -1
 
     @cached_property
-    def accepted(self) -> Floats:
-        """The newest pose that our program had accepted at each exposure.
+    def accepted_poses(self) -> Floats:
+        """The newest pose of each robot that our program had accepted, at each exposure.
 
-        Its shape is (T, N, 3) [mm, mm, rad]. It is NaN before the first one, and after the end of
-        an incomplete log.
+        The shape is (T, N, 3) [mm, mm, rad]. The poses are NaN before the first accepted pose, and
+        after the end of an incomplete log.
         """
         poses = np.full((len(self.times_s), len(self.setup.names), 3), np.nan)
         if self.trial is None or not len(self.trial.frames):
@@ -637,19 +653,19 @@ class Truth:
         unit_mm = self.unit_mm
         logged = self.trial.mocap[self.has_exposure]
         poses[self.logged_exposures] = logged * (unit_mm, unit_mm, 1.0)
-        end = len(poses)
+        end_row = len(poses)
         if self.trial.result is None:
             logged_rows = np.flatnonzero(~np.isnan(poses).all(axis=(1, 2)))
-            end = int(logged_rows.max(initial=0))
-        for row in range(1, end):
+            end_row = int(logged_rows.max(initial=0))
+        for row in range(1, end_row):
             poses[row] = np.where(np.isnan(poses[row]), poses[row - 1], poses[row])
         return poses
 
     @cached_property
-    def fresh(self) -> Bools:
-        """Whether the log has a pose of each robot from this exposure, shape (T, N).
+    def is_fresh(self) -> Bools:
+        """Whether the log contains a pose of each robot from each exposure, shape (T, N).
 
-        False everywhere if there is no log.
+        All entries are False if there is no log.
         """
         fresh = np.zeros((len(self.times_s), len(self.setup.names)), bool)
         if self.trial is None:
@@ -660,30 +676,30 @@ class Truth:
         return fresh
 
     @cached_property
-    def repeated(self) -> Bools:
-        """Whether a fresh pose equals the pose accepted before it, shape (T, N).
+    def is_repeated(self) -> Bools:
+        """Whether each fresh pose equals the previously accepted pose, shape (T, N).
 
-        False at the start.
+        The entries of the first exposure are False.
         """
-        equal = np.zeros(self.fresh.shape, bool)
-        equal[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
-        return equal & self.fresh
+        equal = np.zeros(self.is_fresh.shape, bool)
+        equal[1:] = (self.accepted_poses[1:] == self.accepted_poses[:-1]).all(axis=-1)
+        return equal & self.is_fresh
 
     @cached_property
-    def error_mm(self) -> Floats:
-        """Distance between the accepted and the true position, shape (T, N) [mm].
+    def position_error_mm(self) -> Floats:
+        """Distance of the accepted position of each robot from its true position, (T, N) [mm].
 
-        It is 0 before the first accepted pose.
+        The distance is 0 before the first accepted pose.
         """
-        off = self.accepted - self.poses
-        return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
+        offset = self.accepted_poses - self.poses
+        return np.nan_to_num(np.hypot(offset[..., 0], offset[..., 1]))
 
     @cached_property
     def outside_mm(self) -> Floats:
-        """How far a robot is outside the arena or inside an obstacle, shape (T, N) [mm].
+        """How far each robot is outside the arena or inside an obstacle, shape (T, N) [mm].
 
-        It is 0 if the robot is neither. The limits of the arena are for centres, as in the spec.
-        Obstacles are grown by the body's radius.
+        It is 0 for a robot at an allowed place. The centre of a robot must be inside the arena, as
+        in the spec, and farther from obstacles than the body's radius.
         """
         arena = self.setup.arena
         x = self.poses[..., 0] / self.unit_mm
@@ -697,28 +713,31 @@ class Truth:
 
 
 def distances_to_shape(shape: Shape, x: Floats, y: Floats) -> Floats:
-    """Compute the distance of points (...) to a shape, negative inside.
+    """Compute the distances of points to a shape. A distance is negative inside the shape.
 
-    A shape is the polygon of its corners (K,), grown by its radius. A circle has one corner. The
-    plane is treated as complex. The point of an edge from a to b that is nearest to p is a + s (b -
-    a), where s is Re((p - a) / (b - a)) clipped to [0, 1]. The point p is inside if the angles
-    under which it sees the edges add up to a full turn.
+    A shape is the polygon of its K corners, grown by its radius. A circle has one corner. Points
+    are complex numbers. The point of an edge from a to b that is nearest to p is a + s (b - a),
+    where s is Re((p - a) / (b - a)) clipped to [0, 1]. The point p is inside if the angles under
+    which it sees the edges add up to a full turn.
 
     Args:
         shape: The shape.
-        x: x of the points.
-        y: y of the points.
+        x: x of the points, any shape.
+        y: y of the points, the same shape as `x`.
+
+    Returns:
+        The distances, the same shape as `x`, in the unit of the points.
     """
     points = x + 1j * y
     corners = shape.corners[:, 0] + 1j * shape.corners[:, 1]
     if len(corners) == 1:
         return np.abs(points - corners[0]) - shape.radius
     distance = np.full(points.shape, np.inf)
-    turned = np.zeros(points.shape)
-    for begin, end in zip(corners, np.roll(corners, -1), strict=True):
-        along = np.clip(((points - begin) / (end - begin)).real, 0.0, 1.0)
-        to_edge = np.abs(points - begin - along * (end - begin))
+    turned_rad = np.zeros(points.shape)
+    for edge_start, edge_end in zip(corners, np.roll(corners, -1), strict=True):
+        edge_fraction = np.clip(((points - edge_start) / (edge_end - edge_start)).real, 0.0, 1.0)
+        to_edge = np.abs(points - edge_start - edge_fraction * (edge_end - edge_start))
         distance = np.minimum(distance, to_edge)
-        turned += np.angle((end - points) * np.conj(begin - points))
-    is_inside = np.abs(turned) > np.pi
+        turned_rad += np.angle((edge_end - points) * np.conj(edge_start - points))
+    is_inside = np.abs(turned_rad) > np.pi
     return np.where(is_inside, -distance, distance) - shape.radius

@@ -21,46 +21,48 @@ from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, PortedSide, Whee
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
 
-# flags of a command in the record
-RUN = 1
-STOP = 2
-NEEDS = "the section of robots that are emulated by OwnLines is an OwnSection"
-Read = Callable[[bytes], Counts]
+RUN_FLAG = 1
+"""Flag of a recorded command: the robot may drive."""
+STOP_FLAG = 2
+"""Flag of a recorded command: the robot stops."""
+NEEDS_OWN_SECTION = "the section of robots that are emulated by OwnLines is an OwnSection"
+DecodeMessage = Callable[[bytes], Counts]
+"""Decodes a message to the speeds of the left and the right wheel [unit_mm mm/s]."""
 
 
 class OwnProgram:
-    """A robot's program, which applies the speeds of the newest message until its watchdog expires.
+    """A robot's program, which applies the newest message's speeds until its watchdog expires.
 
     Args:
-        read: Decodes a message to the speeds of the left and the right wheel.
+        decode: Decodes a message to the speeds of the left and the right wheel [unit_mm mm/s].
         watchdog_s: Time without a message after which the robot stops [s].
     """
 
-    def __init__(self, read: Read, watchdog_s: float) -> None:
-        self._read = read
+    def __init__(self, read: DecodeMessage, watchdog_s: float) -> None:
+        self._decode = read
         self._watchdog_ms = round(watchdog_s * 1000)
         self._speeds: Counts = (0, 0)
-        self._heard_ms = 0
+        self._received_ms = 0
 
     def push(self, data: bytes, now_ms: int) -> None:
-        """Process a message at a time [ms]. A message that cannot be decoded is ignored.
+        """Process a message at a time [ms].
 
-        It does not count for the watchdog either.
+        A message that cannot be decoded is ignored, and does not reset the watchdog.
         """
         with suppress(*UNREADABLE):
-            self._speeds = self._read(data)
-            self._heard_ms = now_ms
+            self._speeds = self._decode(data)
+            self._received_ms = now_ms
 
     def wheels(self, now_ms: int) -> Counts:
         """Return the present speeds of the left and the right wheel [unit_mm mm/s].
 
         They are 0 after the watchdog has expired.
         """
-        return self._speeds if now_ms - self._heard_ms < self._watchdog_ms else (0, 0)
+        return self._speeds if now_ms - self._received_ms < self._watchdog_ms else (0, 0)
 
     def status(self, now_ms: int) -> Status:
         """Return the status: RUNNING, SILENT after the watchdog has expired, or 0 at standstill."""
-        if now_ms - self._heard_ms >= self._watchdog_ms:
+        if now_ms - self._received_ms >= self._watchdog_ms:
             return Status.SILENT
         return Status.RUNNING if any(self._speeds) else Status(0)
 
@@ -72,8 +74,8 @@ class OwnProgram:
         """Do nothing, because the robot does not measure its battery."""
 
 
-class ReadsMessages(Protocol):
-    """An emulated actuator whose robots each receive messages at their own port."""
+class MessageDecoder(Protocol):
+    """Decodes the messages of robots that each receive messages at their own port."""
 
     @property
     def robots(self) -> Sequence[EmulatedRobot]:
@@ -100,9 +102,9 @@ class OwnRadio(LineRadio):
     """The connection to one robot that has its own port.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         port: Name of the port.
-        side: Decodes the robot's messages.
+        decoder: Decodes the robot's messages, for example an `OwnLines`.
         row: Index of the robot in the setup.
         loss: Probability that a message is lost.
         baud: Speed of the port [bits/s].
@@ -114,39 +116,45 @@ class OwnRadio(LineRadio):
         self,
         stage: Stage,
         port: str,
-        side: ReadsMessages,
+        decoder: MessageDecoder,
         row: int,
         loss: float,
         baud: int = ROBOT_BAUD,
     ) -> None:
-        robots = side.robots[row : row + 1]
+        robots = decoder.robots[row : row + 1]
         seed = stage.options.seed + row
         super().__init__(stage, stage.wires.port(port), baud, robots, [row], loss, seed)
-        self._side = side
+        self._decoder = decoder
         self._row = row
-        self._whole = is_network(port)
+        self._is_datagram = is_network(port)
 
-    def stop_elsewhere(self, sequence: int) -> None:
+    def stop_from_other_program(self, sequence: int) -> None:
         """Do nothing: such a robot has no emergency stop that another program could send."""
 
     def _split(self, data: bytes) -> list[bytes]:
-        """Return the complete messages in the data, followed by the incomplete rest.
+        """Split received data into the complete messages, followed by the incomplete last one.
 
-        Each datagram of a network is a complete message. Otherwise, a message is a line.
+        Each datagram of a network is a complete message. At another port, a message is a line.
         """
-        return [data, b""] if self._whole else [line.rstrip() for line in super()._split(data)]
+        return (
+            [data, b""] if self._is_datagram else [line.rstrip() for line in super()._split(data)]
+        )
 
-    def _command(self, sealed: bytes) -> dict[str, Any]:
+    def _decode_command(self, frame: bytes) -> dict[str, Any]:
         """Decode a message for the record: flags, motor speeds, and which robots it drives.
 
         WireError is raised if it cannot be decoded.
         """
         try:
-            speeds = self._side.read(sealed, self._row)
+            speeds = self._decoder.read(frame, self._row)
         except UNREADABLE as error:
             raise WireError(str(error)) from None
-        drives = [row == self._row and any(speeds) for row in range(len(self._side.robots))]
-        return {"flags": RUN if any(speeds) else STOP, "motors": [*speeds], "drives": drives}
+        drives = [row == self._row and any(speeds) for row in range(len(self._decoder.robots))]
+        return {
+            "flags": RUN_FLAG if any(speeds) else STOP_FLAG,
+            "motors": [*speeds],
+            "drives": drives,
+        }
 
 
 class OwnLines(PortedSide):
@@ -158,18 +166,18 @@ class OwnLines(PortedSide):
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, OwnSection), NEEDS
+        assert isinstance(section, OwnSection), NEEDS_OWN_SECTION
         self._watchdog_s = section.watchdog_s
         limit = section.speed_max_mm_s / section.unit_mm, section.unit_mm
         super().__init__(stage, settings, limit)
         self.radios = [
-            OwnRadio(stage, stated.address, self, row, settings.loss)
-            for row, stated in enumerate(self.stated)
+            OwnRadio(stage, spec_entry.address, self, row, settings.loss)
+            for row, spec_entry in enumerate(self.spec_entries)
         ]
 
     @abstractmethod
     def read(self, message: bytes, row: int) -> Counts:
-        """Decode a message to wheel speeds; see `ReadsMessages.read`."""
+        """Decode a message to wheel speeds; see `MessageDecoder.read`."""
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults

@@ -12,24 +12,29 @@ from tetractl_emulator.m3pi.robot_radio import RobotRadio
 from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Stage
 
-MM_S_A_COUNT = 8  # speed of a wheel of an m3pi for a count [mm/s]
-DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the robots
+COUNT_MM_S = 8
+"""Wheel speed of an m3pi robot for one count of its motor [mm/s]."""
+LINE_DELAY_NS = 2 * MILLISECOND
+"""Time from the end of a line at the radio to its arrival at the robots [ns]; a guess."""
 
 
 class LineRadio(RobotRadio):
-    """Delivers the lines that a program sends at a port to robots, and sends back their replies.
+    """Delivers lines from a port to robots, and sends the robots' replies back.
 
     Args:
-        stage: What the emulated devices share.
-        port: The port.
+        stage: The data and functions that the emulated devices share.
+        port: The port at which a program sends lines.
         baud: Speed of the port [bits/s].
         robots: The robots that receive the lines.
         indices: Numbers of all robots of the setup.
         loss: Minimum probability that a line is lost.
-        seed: Seed of what is lost or late.
+        seed: Seed of the random losses and delays.
+
+    Attributes:
+        end: The bytes at the end of each message to a robot.
     """
 
-    end = b"\n"  # of a line
+    end = b"\n"
 
     def __init__(
         self,
@@ -43,52 +48,52 @@ class LineRadio(RobotRadio):
     ) -> None:
         super().__init__(stage.timeline, port, baud, stage.note, robots, loss, seed, stage.acting)
         self._indices = indices
-        self._line = b""
-        self._witnessed = b""
+        self._received_part = b""
+        self._recorded_part = b""
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Process received bytes. Only complete lines are delivered to robots."""
-        *lines, self._line = self._split(self._line + data)
+        *lines, self._received_part = self._split(self._received_part + data)
         for line in lines:
-            self.pass_on(line + self.end, self._timeline.now_ns + DELAY_NS)
+            self.deliver(line + self.end, self._timeline.now_ns + LINE_DELAY_NS)
 
     def _split(self, data: bytes) -> list[bytes]:
-        """Return the complete lines in the data, followed by the incomplete rest.
+        """Split received data into the complete lines, followed by the incomplete last line.
 
-        Their ends are removed. The rest is b"" if the data ends with a line.
+        The newlines are removed. The last line is b"" if the data ends with a newline.
         """
         return data.split(b"\n")
 
-    def stop_elsewhere(self, sequence: int) -> None:
+    def stop_from_other_program(self, sequence: int) -> None:
         """Deliver an emergency stop to the robots, as if another program had sent it."""
-        self.hear(encode_command(LineCommand("W", sequence, Flag.EMERGENCY_STOP)))
+        self.receive(encode_command(LineCommand("W", sequence, Flag.EMERGENCY_STOP)))
 
-    def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
+    def drive_from_other_program(self, sequence: int, counts: Counts) -> None:
         """Deliver a command that drives all robots, as if from another program.
 
         Args:
             sequence: Sequence number of the command.
-            counts: Counts of the left and the right motor, each converted to MM_S_A_COUNT mm/s.
+            counts: Counts of the left and the right motor. One count becomes COUNT_MM_S.
         """
-        left, right = (MM_S_A_COUNT * count for count in counts)
+        left, right = (COUNT_MM_S * count for count in counts)
         entries = tuple((index, left, right) for index in self._indices)
-        self.hear(encode_command(LineCommand("W", sequence, Flag.RUN, entries)))
+        self.receive(encode_command(LineCommand("W", sequence, Flag.RUN, entries)))
 
-    def _command(self, sealed: bytes) -> dict[str, Any]:
+    def _decode_command(self, frame: bytes) -> dict[str, Any]:
         """Decode a command for the record: sequence, flags, entries, and which robots it drives.
 
         WireError is raised if it is damaged.
         """
-        command = decode_command(sealed)
+        command = decode_command(frame)
         driven = [index for index, *speeds in command.entries if any(speeds)]
         drives = [command.flags & Flag.RUN and index in driven for index in self._indices]
         record = {"kind": command.kind, "entries": command.entries, "drives": [*map(bool, drives)]}
         return {"sequence": command.sequence, "flags": int(command.flags), **record}
 
-    def _witness(self, data: bytes) -> None:
+    def _record_commands(self, data: bytes) -> None:
         """Record the commands in bytes that were read from the port.
 
-        An incomplete line is kept until its rest arrives.
+        The beginning of an incomplete line is kept until the other bytes of the line arrive.
         """
-        *lines, self._witnessed = self._split(self._witnessed + data)
-        self._note_commands(lines)
+        *lines, self._recorded_part = self._split(self._recorded_part + data)
+        self._record_frames(lines)

@@ -29,20 +29,24 @@ class EmulatedTwist(PortedSide):
         assert isinstance(section, TwistSection), "the actuator's section has the type twist"
         self._section = section
         super().__init__(stage, settings, (section.speed_max_mm_s, 1.0))
-        serial = not section.port.startswith(SCHEME)
-        others = {section.port: stage.options.link} if serial and stage.options.link else {}
+        is_serial = not section.port.startswith(SCHEME)
+        link_by_port = (
+            {section.port: stage.options.port_link} if is_serial and stage.options.port_link else {}
+        )
         indices = [section.index(name) for name in stage.setup.names]
         self.radios = []
         for i, port in enumerate(section.ports()):
-            on_port = [robot for robot in self.robots if section.port_of(robot.name) == port]
-            wire = stage.wires.port(others.get(port, port))
+            robots_on_port = [robot for robot in self.robots if section.port_of(robot.name) == port]
+            device_port = stage.wires.port(link_by_port.get(port, port))
             seed = stage.options.seed + i
-            radio = LineRadio(stage, wire, section.baud, on_port, indices, settings.loss, seed)
+            radio = LineRadio(
+                stage, device_port, section.baud, robots_on_port, indices, settings.loss, seed
+            )
             self.radios.append(radio)
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
         """Create a robot with the compiled core of the firmware; see `PortedSide.make_robot`."""
-        core = partial(TwistCore, radius_mm=round(float(self.radii[row])))
+        core = partial(TwistCore, radius_mm=round(float(self.radii_mm[row])))
         return EmulatedRobot(name, self._section.index(name), battery_mv, core, acting)

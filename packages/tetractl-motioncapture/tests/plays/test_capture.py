@@ -3,7 +3,7 @@
 import pytest
 from testkit.cli import tetractl
 from testkit.emulator.silent_labs import flagged_trials
-from tetractl_emulator.lab_rehearse import rehearsed
+from tetractl_emulator.lab_rehearse import rehearse_day
 
 pytestmark = pytest.mark.slow
 RUN = ("run", "capture.yaml", "--plant", "emulated", "--trials", "1")
@@ -49,5 +49,5 @@ def test_a_process_that_ends_or_is_silent_is_named_before_and_while_robots_move(
 @pytest.mark.long
 def test_a_rehearsed_day_of_slow_frames_knows_which_exposure_a_frame_shows(folder):
     """Frames have no number: those that did not come must not be counted (day 13 of this seed)."""
-    row = rehearsed(folder / "capture.yaml", (), 20261128, 13)
+    row = rehearse_day(folder / "capture.yaml", (), 20261128, 13)
     assert row["violations"] == []

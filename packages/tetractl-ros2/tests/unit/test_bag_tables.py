@@ -17,7 +17,7 @@ from tetractl_ros2.bag_tables import (
     BagCommand,
     BagContents,
     BagPose,
-    begin,
+    begin_ns_of,
     command_table,
     pose_table,
     read_bag,
@@ -177,7 +177,7 @@ def test_times_count_from_the_earliest_pose_or_command():
             BagCommand("/green/cmd_vel", "green", 3 * SECOND, 0.3, 0.4),
         ],
     )
-    assert begin(recorded) == 3 * SECOND
+    assert begin_ns_of(recorded) == 3 * SECOND
     assert columns(pose_table(recorded, None, None))["time_s"] == [1.0, 2.0]
     sent = columns(command_table(recorded))
     assert sent == {

@@ -3,7 +3,7 @@
 from types import SimpleNamespace as Record
 
 import pytest
-from tetractl_ros2.body_readings import sightings
+from tetractl_ros2.body_readings import read_sightings
 
 
 def header(frame="world", sec=12, nanosec=500):
@@ -31,7 +31,7 @@ MESSAGES = {
 
 @pytest.mark.parametrize("kind", MESSAGES)
 def test_every_kind_of_message_shows_the_same_body(kind):
-    (seen,) = sightings(kind, MESSAGES[kind])
+    (seen,) = read_sightings(kind, MESSAGES[kind])
     assert seen.body == ("green" if kind in ("NamedPoseArray", "TFMessage") else None)
     assert seen.frame == "world"
     assert seen.stamp_ns == 12_000_000_500
@@ -42,16 +42,16 @@ def test_every_kind_of_message_shows_the_same_body(kind):
 @pytest.mark.parametrize("slash", ["", "/"])
 def test_a_slash_before_a_frame_or_a_child_frame_is_no_part_of_its_name(slash):
     message = Record(transforms=[transform(f"{slash}green", f"{slash}world")])
-    (seen,) = sightings("TFMessage", message)
+    (seen,) = read_sightings("TFMessage", message)
     assert (seen.body, seen.frame) == ("green", "world")
 
 
 def test_bodies_come_in_the_order_of_the_message():
     names = ["red", "green", "blue"]
     message = Record(transforms=[transform(name) for name in names])
-    assert [seen.body for seen in sightings("TFMessage", message)] == names
+    assert [seen.body for seen in read_sightings("TFMessage", message)] == names
 
 
 def test_a_message_without_poses_is_refused():
     with pytest.raises(TypeError, match="a Twist holds no poses"):
-        sightings("Twist", Record())
+        read_sightings("Twist", Record())

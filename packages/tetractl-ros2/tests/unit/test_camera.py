@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from testkit.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import EmulatedLab
-from tetractl_emulator.script import NOTHING
+from tetractl_emulator.script import NO_FAULTS
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_lab import LabClock, started
 from tetractl_ros2.camera import Ros2Camera
@@ -26,7 +26,7 @@ from tetractl_ros2.ros2_messages import (
     TransformStamped,
 )
 from tetractl_ros2.topic_port import UNDECODABLE
-from tetractl_ros2.topics import EMULATED
+from tetractl_ros2.topics import EMULATED_TOPIC
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
 from tetractl.core.errors import AbortError
@@ -58,7 +58,7 @@ def lab_of(message):
 def test_poses_are_those_of_the_emulated_robots_whatever_message_holds_them(message):
     lab, setup = lab_of(message)
     clock = LabClock()
-    emulation = started(lab, setup, clock, Options(address=None), NOTHING)
+    emulation = started(lab, setup, clock, Options(address=None), NO_FAULTS)
     with Ros2Camera(lab.camera, setup, clock, ports=emulation.wires.ports) as camera:
         clock.sleep_until(clock.now() + SECOND // 10)
         frame = camera.frames()[-1]
@@ -77,7 +77,7 @@ def test_poses_are_those_of_the_emulated_robots_whatever_message_holds_them(mess
 def test_a_lab_of_any_kind_of_poses_can_be_emulated_on_real_topics(message, topic):
     """Regression: kinds with a topic for each robot ended in a KeyError."""
     lab, setup = lab_of(f"{message}\n    topic: {topic}")
-    emulation = EmulatedLab(lab, setup, NOTHING, Options())
+    emulation = EmulatedLab(lab, setup, NO_FAULTS, Options())
     assert {port.name for port in emulation.camera._ports} == {
         f"ros2://0{name}" for name in lab.camera.topics(setup)
     }
@@ -250,7 +250,7 @@ def test_a_tilted_body_has_its_tilt_and_a_quaternion_that_is_none_is_no_pose():
         ("/B/pose", stamped(SECOND, quaternion=Quaternion(0.0, 0.0, 0.0, 0.0)), SECOND),
     ]
     camera, _ = camera_of("PoseStamped", sent)
-    first, second = camera._group.last
+    first, second = camera._frame_group.last
     assert math.isclose(first.pose.tilt, math.pi / 2, abs_tol=1e-6)
     assert second.pose is None
 
@@ -276,9 +276,9 @@ def test_a_message_that_cannot_be_read_is_counted():
 def test_only_a_message_that_says_so_makes_a_tracker_an_emulated_one():
     camera, graph = camera_of("PoseStamped", both(SECOND, SECOND))
     for data in (UNDECODABLE, b"", Bool(data=False).serialize()):
-        graph.heard[EMULATED](data, 2 * SECOND)
+        graph.heard[EMULATED_TOPIC](data, 2 * SECOND)
     assert not camera.check().emulated
-    graph.heard[EMULATED](Bool(data=True).serialize(), 2 * SECOND)
+    graph.heard[EMULATED_TOPIC](Bool(data=True).serialize(), 2 * SECOND)
     assert camera.check().emulated
 
 

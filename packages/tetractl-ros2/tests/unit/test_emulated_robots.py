@@ -6,7 +6,12 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from testkit.emulator.virtual_lab import virtual_lab
-from tetractl_ros2.emulated.side import EMPTY_MV, FULL_MV, TwistProgram, _battery_state
+from tetractl_ros2.emulated.side import (
+    EMPTY_BATTERY_MV,
+    FULL_BATTERY_MV,
+    TwistProgram,
+    _battery_state,
+)
 from tetractl_ros2.ros2_messages import Bool, Twist, Vector3
 
 from tetractl.core.clock import SECOND
@@ -34,7 +39,13 @@ def test_a_robot_follows_messages_until_its_watchdog_or_an_emergency_stop():
 
 @pytest.mark.parametrize(
     ("millivolts", "share"),
-    [(FULL_MV, 1.0), (FULL_MV + 300, 1.0), (EMPTY_MV, 0.0), (EMPTY_MV - 300, 0.0), (4750, 0.5)],
+    [
+        (FULL_BATTERY_MV, 1.0),
+        (FULL_BATTERY_MV + 300, 1.0),
+        (EMPTY_BATTERY_MV, 0.0),
+        (EMPTY_BATTERY_MV - 300, 0.0),
+        (4750, 0.5),
+    ],
 )
 def test_a_battery_is_published_in_volts_and_as_a_share(millivolts, share):
     state = _battery_state(millivolts)
@@ -58,7 +69,7 @@ def test_a_twist_is_a_speed_and_a_turning_rate_of_the_wheels():
         unit_mm = lab.spec.experiment.plant.actuator.unit_mm
         left, right = (count * unit_mm for count in side.read(twist(0.1, 0.5), 1))
         assert (left + right) / 2 == pytest.approx(100.0, abs=unit_mm)
-        assert (right - left) / 2 == pytest.approx(0.5 * side.radii[1], abs=unit_mm)
+        assert (right - left) / 2 == pytest.approx(0.5 * side.radii_mm[1], abs=unit_mm)
         left, right = side.read(twist(-0.1, 0.0), 1)
         assert left == right == round(-100 / unit_mm)
 

@@ -92,21 +92,21 @@ def test_a_message_wakes_the_loop_and_is_read_once(plugs):
 def test_a_stalled_topic_drops_what_comes_and_what_is_sent(plugs):
     device, end = plugs()
     device.plug()
-    device.stall(True)
+    device.set_stalled(True)
     end.coming.put(b"lost")
     for _ in range(2):  # the second time, what was taken the first time has been passed on
         end.idle.clear()
         assert end.idle.wait(5.0)
-    device.stall(False)
+    device.set_stalled(False)
     end.coming.put(b"heard")
     wait_for_data(device)
     assert device.read() == b"heard"
     assert device.read() == b""
     sender, out = plugs(publishes=True)
     sender.plug()
-    sender.stall(True)
+    sender.set_stalled(True)
     sender.write(b"lost")
-    sender.stall(False)
+    sender.set_stalled(False)
     sender.write(b"sent")
     assert out.published == [b"sent"]
 

@@ -154,8 +154,8 @@ def test_without_a_watchdog_the_operator_is_asked():
 
 @pytest.mark.parametrize(("partners", "count"), [(0, 1), (1, 0)])
 def test_an_emergency_stop_that_no_robot_receives_is_a_problem(monkeypatch, partners, count):
-    monkeypatch.setattr(TopicEnd, "partners", partners)
-    monkeypatch.setattr(TopicEnd, "rivals", lambda end: 0)
+    monkeypatch.setattr(TopicEnd, "n_partners", partners)
+    monkeypatch.setattr(TopicEnd, "count_other_publishers", lambda end: 0)
     experiment = spec()
     robots = Ros2Robots(experiment.lab.actuator, experiment.setup, VirtualClock())
     problems = robots.check().problems

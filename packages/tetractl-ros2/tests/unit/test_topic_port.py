@@ -9,7 +9,7 @@ pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from tetractl_ros2 import ros2_messages
 from tetractl_ros2.ros2_messages import Twist, Vector3
 from tetractl_ros2.topic_port import DISCOVERY_S, UNDECODABLE, Topic, TopicEnd, TopicPort
-from tetractl_ros2.topics import COMMANDS, POSES
+from tetractl_ros2.topics import COMMAND_MESSAGES, POSE_MESSAGES
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
@@ -36,11 +36,11 @@ class PlayedEnd:
         pass
 
     @property
-    def partners(self):
+    def n_partners(self):
         return int(self._appears_ns is not None and self._clock.now() >= self._appears_ns)
 
     def publish(self, data):
-        if self.partners:
+        if self.n_partners:
             self.sent_ns.append(self._clock.now())
 
 
@@ -135,7 +135,7 @@ def test_a_message_that_cannot_be_decoded_loses_no_other():
     assert end.wait() == [twist(1.0).serialize(), UNDECODABLE, twist(2.0).serialize()]
 
 
-@pytest.mark.parametrize("name", [*POSES, *COMMANDS, "BatteryState", "Bool"])
+@pytest.mark.parametrize("name", [*POSE_MESSAGES, *COMMAND_MESSAGES, "BatteryState", "Bool"])
 def test_no_kind_of_message_can_be_decoded_from_the_bytes_that_stand_for_such_a_message(name):
     with pytest.raises(UNREADABLE):
         getattr(ros2_messages, name).deserialize(UNDECODABLE)

@@ -22,12 +22,17 @@ from tetractl_ros2.topic_port import Topic, TopicEnd, domain_of
 
 
 class TopicPlug(PseudoPort):
-    """An emulated device's publisher or subscription of a topic. `name` is the name of its port."""
+    """An emulated device's publisher or subscription of a topic.
+
+    Args:
+        topic: The topic, as the emulated device uses it.
+        name: Name of the port, ros2://DOMAIN/TOPIC.
+    """
 
     def __init__(self, topic: Topic, name: str) -> None:
         super().__init__(name)
         self._end = TopicEnd(topic, domain_of(name))
-        self._came = deque[bytes]()
+        self._received = deque[bytes]()
         self._stalled = False
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -36,7 +41,7 @@ class TopicPlug(PseudoPort):
         """Join the topic.
 
         Raises:
-            TetractlError: If that fails.
+            TetractlError: If the topic cannot be joined.
         """
         try:
             self._end.open()
@@ -62,26 +67,26 @@ class TopicPlug(PseudoPort):
             os.close(self.fd)
         self.fd = -1
 
-    def stall(self, stalled: bool) -> None:
-        """Start or stop dropping everything that is sent to the topic, or that arrives from it."""
-        self._stalled = stalled
+    def set_stalled(self, is_stalled: bool) -> None:
+        """Drop all messages to and from the topic if `is_stalled`, or pass messages on again."""
+        self._stalled = is_stalled
 
     def baud(self) -> None:
-        """None, because a network has no baud rate."""
+        """Return None, because a network has no baud rate."""
 
     def read(self) -> bytes:
-        """Return the bytes of the oldest waiting message.
+        """Return the bytes of the oldest waiting message, or b"" if there is no message.
 
-        The result is empty if there is none. It never waits.
+        The method never waits.
         """
         with suppress(BlockingIOError, OSError):
             os.eventfd_read(self.fd)
-        return self._came.popleft() if self._came else b""
+        return self._received.popleft() if self._received else b""
 
     def write(self, data: bytes) -> None:
         """Publish a message.
 
-        It is lost if the plug is pulled or stalled, or if it cannot be sent.
+        The message is lost if the plug is pulled or stalled, or if DDS cannot send it.
         """
         if self.fd >= 0 and not self._stalled:
             with suppress(DDSException):
@@ -90,19 +95,19 @@ class TopicPlug(PseudoPort):
     def _receive(self) -> None:
         """Receive messages until the plug is pulled.
 
-        Messages that arrive while it is stalled are lost.
+        Messages that arrive while the plug is stalled are lost.
         """
         while not self._closing.is_set():
             for message in self._end.wait():
                 if not self._stalled:
-                    self._came.append(message)
+                    self._received.append(message)
                     os.eventfd_write(self.fd, 1)
 
 
 def on_topics(stage: Stage, domain: int, topics: Iterable[Topic]) -> Stage:
-    """Create a stage on which the ports named after these topics are topics of a ROS 2 graph.
+    """Create a stage on which ports are topics of a ROS 2 graph.
 
-    If the wires of the stage are in memory, the stage stays unchanged.
+    If the wires of the stage are in memory, the stage is returned unchanged.
 
     Args:
         stage: The data and functions that the lab's emulated devices share.
@@ -111,9 +116,9 @@ def on_topics(stage: Stage, domain: int, topics: Iterable[Topic]) -> Stage:
     """
     if stage.wires.ports is not None:
         return stage
-    by_name = {topic.address(domain): topic for topic in topics}
+    topic_by_address = {topic.address(domain): topic for topic in topics}
 
-    def port(name: Path | str) -> PseudoPort:
-        return TopicPlug(by_name[str(name)], str(name))
+    def make_port(name: Path | str) -> PseudoPort:
+        return TopicPlug(topic_by_address[str(name)], str(name))
 
-    return replace(stage, wires=replace(stage.wires, port=port))
+    return replace(stage, wires=replace(stage.wires, port=make_port))

@@ -11,7 +11,7 @@ from tetractl_emulator.loop import Loop
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, PortedSide, WheelsSettings
 from tetractl_emulator.sides import Facts, Stage
-from tetractl_emulator.twist.own_lines import OwnProgram, OwnRadio, Read
+from tetractl_emulator.twist.own_lines import DecodeMessage, OwnProgram, OwnRadio
 
 from tetractl.core.clock import SECOND
 from tetractl.core.protocols import EMULATED_NAME
@@ -21,15 +21,15 @@ from tetractl.model.wheels import Counts
 from tetractl_ros2.emulated.plug import on_topics
 from tetractl_ros2.ros2_messages import BatteryState, Bool, Twist, Vector3, Vector3Stamped
 from tetractl_ros2.section import Ros2Section
-from tetractl_ros2.topics import COMMANDS, battery_topics, command_topics, emergency_topic
+from tetractl_ros2.topics import COMMAND_MESSAGES, battery_topics, command_topics, emergency_topic
 
 NETWORK_BAUD = 10_000_000
 """Speed of a slow wireless network [bits/s]."""
-FULL_MV = 5100
+FULL_BATTERY_MV = 5100
 """Voltage of a full battery [mV]."""
-EMPTY_MV = 4400
+EMPTY_BATTERY_MV = 4400
 """Voltage of an empty battery [mV]."""
-BATTERY_NS = SECOND // 2
+BATTERY_PERIOD_NS = SECOND // 2
 """Time between two messages of a battery [ns]."""
 NO_WATCHDOG_S = 1e6
 """Watchdog time of robots without a watchdog [s]: longer than any run."""
@@ -41,10 +41,20 @@ FAULTS_WITHOUT_MEANING = (
 
 
 class TwistProgram(OwnProgram):
-    """The driver of a robot, which follows the newest twist until a watchdog or emergency stop."""
+    """The driver of a robot, which follows the newest twist until a watchdog or emergency stop.
 
-    def __init__(self, read: Read, watchdog_s: float, battery_mv: int) -> None:
-        super().__init__(read, watchdog_s)
+    Args:
+        decode: Decodes a message to the speeds of the left and the right wheel [unit_mm mm/s].
+        watchdog_s: Time without a message after which the robot stops [s].
+        battery_mv: Voltage of the battery [mV].
+
+    Attributes:
+        battery_mv: Voltage of the battery [mV].
+        is_emergency_stopped: Whether the robot has received an emergency stop.
+    """
+
+    def __init__(self, decode: DecodeMessage, watchdog_s: float, battery_mv: int) -> None:
+        super().__init__(decode, watchdog_s)
         self.battery_mv = battery_mv
         self.is_emergency_stopped = False
 
@@ -69,25 +79,25 @@ class TwistProgram(OwnProgram):
 class EmergencyStop(OwnRadio):
     """The common topic of the emergency stop, which reaches the drivers of all robots."""
 
-    def hear(self, data: bytes) -> None:
-        """Process a message of the emergency topic: if it is True, stop all powered robots.
+    def receive(self, data: bytes) -> None:
+        """Stop all powered robots if the message of the emergency topic is True.
 
-        False, and a message that cannot be read, are ignored.
+        A message that is False or cannot be decoded is ignored.
         """
         is_stop = False
         with suppress(*UNREADABLE):
             is_stop = Bool.deserialize(data).data
         if is_stop:
-            for robot in self._side.robots:
+            for robot in self._decoder.robots:
                 assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"
                 robot.core.is_emergency_stopped = robot.core.is_emergency_stopped or robot.powered
 
-    def _witness(self, data: bytes) -> None:
+    def _record_commands(self, data: bytes) -> None:
         """Record nothing, because the record only contains commands that drive robots."""
 
 
 class EmulatedRos2Robots(PortedSide):
-    """Robots that subscribe to the topics of a `Ros2Section`."""
+    """Emulated robots that subscribe to the topics of a `Ros2Section`."""
 
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
         kind for kind in WHEELED_FAULTS if kind.__name__ not in FAULTS_WITHOUT_MEANING
@@ -103,7 +113,7 @@ class EmulatedRos2Robots(PortedSide):
         domain = section.domain
         stage = on_topics(stage, domain, topics)
         self._watchdog_s = section.stops_after or NO_WATCHDOG_S
-        self._message = COMMANDS[section.message]
+        self._message = COMMAND_MESSAGES[section.message]
         self._setup = stage.setup
         super().__init__(
             stage, settings, (section.speed_max_mm_s / section.unit_mm, section.unit_mm)
@@ -127,14 +137,16 @@ class EmulatedRos2Robots(PortedSide):
         """
         decoded: Any = self._message.deserialize(message)
         if isinstance(decoded, Vector3Stamped):
-            speed, turning = self._steer(decoded.vector, row)
+            speed_mm_s, turning_rad_s = self._steer(decoded.vector, row)
         else:
             twist = decoded if isinstance(decoded, Twist) else decoded.twist
-            speed = twist.linear.x * 1000
-            turning = twist.angular.z
-        wheel_offset = turning * float(self.radii[row])
+            speed_mm_s = twist.linear.x * 1000
+            turning_rad_s = twist.angular.z
+        wheel_offset_mm_s = turning_rad_s * float(self.radii_mm[row])
         unit_mm = Ros2Section.unit_mm
-        return round((speed - wheel_offset) / unit_mm), round((speed + wheel_offset) / unit_mm)
+        return round((speed_mm_s - wheel_offset_mm_s) / unit_mm), round(
+            (speed_mm_s + wheel_offset_mm_s) / unit_mm
+        )
 
     def _steer(self, vector: Vector3, row: int) -> tuple[float, float]:
         """Compute the speed [mm/s] and turning rate [rad/s] of a robot that steers itself.
@@ -180,13 +192,13 @@ class EmulatedRos2Robots(PortedSide):
             if port is not None and robot.powered:
                 assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"
                 port.write(_battery_state(robot.core.battery_mv).serialize())
-        self.timeline.at(self.timeline.now_ns + BATTERY_NS, self._publish_batteries)
+        self.timeline.at(self.timeline.now_ns + BATTERY_PERIOD_NS, self._publish_batteries)
 
 
 def _battery_state(battery_mv: int) -> BatteryState:
-    charge = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
+    charge_fraction = (battery_mv - EMPTY_BATTERY_MV) / (FULL_BATTERY_MV - EMPTY_BATTERY_MV)
     return BatteryState(
         voltage=battery_mv / 1000,
-        percentage=max(0.0, min(1.0, charge)),
+        percentage=max(0.0, min(1.0, charge_fraction)),
         serial_number=EMULATED_NAME,
     )

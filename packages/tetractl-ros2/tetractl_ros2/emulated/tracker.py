@@ -38,13 +38,13 @@ EPOCH_NS = 1_700_000_000 * SECOND
 The two clocks differ, like the clocks of two computers.
 """
 EMULATED_MARK = Bool(data=True).serialize()
-"""The message that says that the tracker is emulated."""
+"""The message by which the tracker reports that it is emulated."""
 
 
 class EmulatedTracker(PoseStream):
-    """Publishes the poses of all robots with one time stamp, in the section's message type.
+    """An emulated tracker that publishes the poses of all robots in the section's message type.
 
-    A body that is not tracked is left out.
+    All poses of a frame have the same time stamp. Untracked bodies are left out.
     """
 
     def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:

@@ -83,9 +83,9 @@ def test_cubes_that_are_carried_read_no_mat(folder):
             return [*mat.last]
 
         assert None not in readings()
-        mat.acting.carried = True
+        mat.acting.robots_are_carried = True
         assert readings() == [None] * len(NAMES)
-        mat.acting.carried = False
+        mat.acting.robots_are_carried = False
         assert None not in readings()
 
 

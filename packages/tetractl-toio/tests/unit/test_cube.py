@@ -145,7 +145,7 @@ class Cube:
         self.heard = []
         self.answers = []
 
-    def hear(self, data):
+    def receive(self, data):
         self.heard.append((data, self.timeline.now_ns))
 
     def answer(self):
@@ -191,12 +191,12 @@ class Link:
 
 def test_what_is_written_is_heard_at_the_next_event_in_its_order():
     link = Link()
-    link.connection.hear(b"a")
-    link.connection.hear(b"b")
+    link.connection.receive(b"a")
+    link.connection.receive(b"b")
     link.run(6)
     assert link.heard() == []
     link.run(20)
-    link.connection.hear(b"c")
+    link.connection.receive(b"c")
     link.run(200)
     assert link.heard() == [(b"a", 7), (b"b", 7), (b"c", 37)]
 
@@ -248,10 +248,10 @@ def test_a_late_connection_keeps_the_order_of_what_it_passes_on():
     link = Link()
     fault = act(link.acting, "late_radio", by=0.1)
     link.cube.late_ns = 5 * MILLISECOND
-    link.connection.hear(b"a")
+    link.connection.receive(b"a")
     link.run(10)
     link.acting.remove(fault)
-    link.connection.hear(b"b")
+    link.connection.receive(b"b")
     link.run(300)
     assert link.heard() == [(b"a", 112), (b"b", 112)]
 
@@ -260,7 +260,7 @@ def test_transfers_are_lost_in_both_directions_as_often_as_the_loss_says():
     link = Link(loss=0.25, seed=62)
     reported = []
     for k in range(1, 2001):
-        link.connection.hear(b"a")
+        link.connection.receive(b"a")
         link.connection.notify(b"1", lambda: reported.append(1))
         link.run(30 * k)
     counts = [len(link.cube.heard), len(reported)]
@@ -270,23 +270,23 @@ def test_transfers_are_lost_in_both_directions_as_often_as_the_loss_says():
 def test_a_doubled_transfer_is_heard_twice_and_a_deaf_cube_hears_nothing():
     link = Link()
     doubled = act(link.acting, "doubled_packets")
-    link.connection.hear(b"a")
+    link.connection.receive(b"a")
     link.run(100)
     assert link.heard() == [(b"a", 7)] * 2
     link.acting.remove(doubled)
     act(link.acting, "deaf", robot="green", share=1.0)
-    link.connection.hear(b"b")
+    link.connection.receive(b"b")
     link.run(200)
     assert len(link.cube.heard) == 3
     act(link.acting, "deaf", robot="blue", share=1.0)
-    link.connection.hear(b"c")
+    link.connection.receive(b"c")
     link.run(300)
     assert len(link.cube.heard) == 3
 
 
 def test_motor_commands_are_recorded_with_the_cube_that_they_drive():
     link = Link()
-    link.connection._witness(motor(50, 0) + pack(Characteristic.ID) + motor(0, 0))
+    link.connection._record_commands(motor(50, 0) + pack(Characteristic.ID) + motor(0, 0))
     assert link.events == [
         ("command", {"flags": RUN, "motors": [50, 0], "drives": [False, True]}),
         ("command", {"flags": STOP, "motors": [0, 0], "drives": [False, False]}),

@@ -134,7 +134,7 @@ class Connection(RobotRadio):
     Data is transferred at connection events, and each transfer can be lost or late.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         port: The port at which a program reaches the cube.
         robot: The cube.
         robots: All cubes of the setup, in order. The record of a command has an entry for each,
@@ -166,7 +166,7 @@ class Connection(RobotRadio):
         self._received_ns = 0
         self._timeline.at(self._timeline.now_ns + phase_ns, self._exchange)
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Queue bytes that a program has written.
 
         The cube receives them at the next connection event.
@@ -195,13 +195,15 @@ class Connection(RobotRadio):
         random = self._random
         now_ns = self._timeline.now_ns
         for data in written:
-            if random.random() >= self.loss_to(self.robot.name):
+            if random.random() >= self.loss_probability(self.robot.name):
                 # a connection keeps the order of what it passes on
-                delay_ns = self.late_ns() + self.robot.late_ns
+                delay_ns = self.sample_delay_ns() + self.robot.late_ns
                 self._received_ns = max(self._received_ns, now_ns + delay_ns)
-                self._timeline.at(self._received_ns, lambda data=data: self.robot.hear(data))
+                self._timeline.at(self._received_ns, lambda data=data: self.robot.receive(data))
         if self.port.fd >= 0 and not self.is_down and self.robot.powered:
-            delivered = [note for note in notifications if random.random() >= self.loss_to()]
+            delivered = [
+                note for note in notifications if random.random() >= self.loss_probability()
+            ]
             data = b"".join(message for message, _ in delivered) + self.robot.answer()
             if data:
                 self.port.write(data)
@@ -210,19 +212,19 @@ class Connection(RobotRadio):
                 on_sent()
         self._timeline.at(now_ns + self._interval_ns, self._exchange)
 
-    def _command(self, sealed: bytes) -> dict[str, Any]:
+    def _decode_command(self, frame: bytes) -> dict[str, Any]:
         """Describe a motor command for the record: its flags, motor speeds and driven robots."""
-        command = decode_motor(sealed)
+        command = decode_motor(frame)
         motors = [command.left, command.right]
         runs = any(motors)
         drives = [runs and robot is self.robot for robot in self._robots]
         return {"flags": RUN if runs else STOP, "motors": motors, "drives": drives}
 
-    def _witness(self, data: bytes) -> None:
+    def _record_commands(self, data: bytes) -> None:
         """Record the motor commands that a program has written, even if they are lost later."""
         for characteristic, payload in self._record_unpacker.feed(data):
             if characteristic == Characteristic.MOTOR:
-                self._note_commands([payload])
+                self._record_frames([payload])
 
 
 def ns(seconds: float) -> int:

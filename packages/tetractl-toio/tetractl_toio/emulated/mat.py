@@ -68,7 +68,7 @@ class EmulatedMat:
     exposure and one frame.
 
     Args:
-        stage: What the emulated devices share.
+        stage: The data and functions that the emulated devices share.
         settings: Properties of the readings that differ from the spec.
         bodies: The cubes of the emulated actuator of type `toio`.
 
@@ -156,7 +156,7 @@ class EmulatedMat:
         unit = self._section.unit_mm
         reading = placed((x, y, cube.heading), origin, unit)
         printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
-        hidden = self.acting.carried or self.acting.of_kind("untracked", cube.name)
+        hidden = self.acting.robots_are_carried or self.acting.of_kind("untracked", cube.name)
         return None if hidden or not printed else reading
 
     def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:

@@ -107,9 +107,9 @@ class EmulatedCubes(PortedSide):
         super().__init__(stage, settings, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)
         self.radios = []
-        for i, (cube, stated) in enumerate(zip(self.robots, self.stated, strict=True)):
-            port = stage.wires.port(stated.cube)
-            phase = ns(settings.interval * i / len(self.stated))
+        for i, (cube, spec_entry) in enumerate(zip(self.robots, self.spec_entries, strict=True)):
+            port = stage.wires.port(spec_entry.cube)
+            phase = ns(settings.interval * i / len(self.spec_entries))
             timing = (interval, phase, settings.loss)
             seed = stage.options.seed + i
             cube.connection = Connection(stage, port, cube, self.robots, *timing, seed)

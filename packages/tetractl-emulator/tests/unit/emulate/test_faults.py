@@ -250,20 +250,20 @@ def test_robots_are_put_back_and_restarted(tmp_path):
     lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: reports.append(event))
     with lab:
         robot = entry(lab.actuator.robots, "green")
-        robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
+        robot.receive(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: robot.x > 510)
-        robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
-        turn_until(lab, lambda: lab.injector.acting.carried)
+        robot.receive(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
+        turn_until(lab, lambda: lab.injector.acting.robots_are_carried)
         assert not robot.powered
         turn_until(lab, lambda: "placed" in reports)
         assert robot.x == 500
         assert robot.y == 500
         assert robot.heading == 0.5
-        robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
+        robot.receive(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
         assert robot.counts() == (0, 0)  # it may be a command from before
         placed_ns = lab.timeline.now_ns
         turn_until(lab, lambda: lab.timeline.now_ns > placed_ns + SECOND)
-        robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
+        robot.receive(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
         assert robot.counts() == (60, 60)
 
 
@@ -286,8 +286,8 @@ def test_nothing_is_left_open(tmp_path):
     before = open_files()
     for _ in range(3):
         with emulated(tmp_path) as lab:
-            lab.actuator.plugged(False)
-            lab.actuator.plugged(True)
+            lab.actuator.set_plugged(False)
+            lab.actuator.set_plugged(True)
     assert open_files() == before
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]
 
@@ -383,11 +383,11 @@ def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_p
     camera = faulty.lab.camera
     bodies = {body.robot.name: body for body in camera.tracked}
     green = bodies["green"]
-    faulty.lab.injector.acting.carried = carried_first
+    faulty.lab.injector.acting.robots_are_carried = carried_first
     end_fault = faulty.begin()
-    faulty.lab.injector.acting.carried = True
+    faulty.lab.injector.acting.robots_are_carried = True
     assert not green.expose(View()).tracking_valid
-    faulty.lab.injector.acting.carried = False
+    faulty.lab.injector.acting.robots_are_carried = False
     assert not green.expose(View()).tracking_valid
     end_fault()
     assert green.expose(View()).tracking_valid

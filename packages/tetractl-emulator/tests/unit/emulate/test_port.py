@@ -19,10 +19,10 @@ class Heard(SerialDevice):
         super().__init__(timeline, port, 57600, None, acting)
         self.chunks = []
 
-    def hear(self, data):
+    def receive(self, data):
         self.chunks.append(data)
 
-    def _command(self, sealed):
+    def _decode_command(self, frame):
         raise NotImplementedError
 
 
@@ -37,7 +37,7 @@ def test_a_network_drops_a_datagram_that_was_changed(name):
     acting.add(SimpleNamespace(fault="bad_bytes", robot=None, share=0.02))
     timeline = Timeline(lambda when_ns: None)
     device = Heard(timeline, port, acting)
-    device.readable()
+    device.read_port()
     timeline.run_to(10 * SECOND)
     changed = [chunk for chunk in device.chunks if chunk != SENT]
     if name.startswith("udp"):

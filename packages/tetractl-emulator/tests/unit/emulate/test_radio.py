@@ -5,7 +5,7 @@ import os
 import pytest
 import serial
 from testkit.emulator.lab_processes import emulated, turn_until
-from tetractl_emulator.m3pi.emulated_radio import at_response
+from tetractl_emulator.m3pi.emulated_radio import encode_at_response
 from tetractl_emulator.port import PseudoPort
 
 from tetractl.core.clock import SECOND
@@ -25,7 +25,11 @@ def opened(tmp_path):
         lab.__enter__()
         open_now.append(lab)
         port = serial.Serial(
-            str(lab.actuator.wired[0].port.link), baud, timeout=0, write_timeout=5, exclusive=True
+            str(lab.actuator.serial_devices[0].port.link),
+            baud,
+            timeout=0,
+            write_timeout=5,
+            exclusive=True,
         )
         open_now.append(port)
         return lab, port
@@ -59,7 +63,7 @@ def test_at_commands(opened):
         (b"AP", b"\x02"),
         (b"QQ", None),
     ):
-        answer = at_response(0x11, command, value)
+        answer = encode_at_response(0x11, command, value)
         assert ask(lab, port, bytes((AT_COMMAND, 0x11)) + command) == [answer]
 
 
@@ -71,11 +75,11 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened):
     lab.actuator.radio.note = lambda *_, **facts: sent_ns.append(lab.timeline.now_ns)
     for robot in lab.actuator.robots:
 
-        def heard(data, hear=robot.hear):
+        def heard(data, receive=robot.receive):
             heard_ns.append(lab.timeline.now_ns)
-            hear(data)
+            receive(data)
 
-        robot.hear = heard
+        robot.receive = heard
     port.write(frame)
     turn_until(lab, lambda: len(heard_ns) == 2)
     way_ns = heard_ns[0] - sent_ns[0]

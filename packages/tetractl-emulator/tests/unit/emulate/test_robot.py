@@ -53,7 +53,7 @@ def test_motion_is_that_of_two_lagging_wheels(count_left, count_right, millis):
     """Speed and turning rate keep their ratio while the wheels speed up: an arc of a circle."""
     robot = robot_at_start()
     for k in range(math.ceil(millis / 200)):  # the watchdog ends after 250 ms
-        robot.hear(frame(k + 1, (count_left, count_right)))
+        robot.receive(frame(k + 1, (count_left, count_right)))
         robot.robots.advance(min(200 * (k + 1), millis) * MS)
     way_left = wheel_way(count_left, millis / 1000)
     way_right = wheel_way(count_right, millis / 1000)
@@ -79,7 +79,7 @@ def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, count_left):
     now = 0
     for k, gap in enumerate(gaps):
         for robot in (watched, alone):
-            robot.hear(frame(k + 1, (count_left, 60)))
+            robot.receive(frame(k + 1, (count_left, 60)))
             if k == 2:
                 stuck = act(robot.acting, "wheel_stuck", robot=robot.name, wheel="left")
             elif k == 3:
@@ -99,7 +99,7 @@ def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, count_left):
 
 def test_a_robot_stops_by_its_watchdog():
     robot = robot_at_start()
-    robot.hear(frame(1, (40, 40)))
+    robot.receive(frame(1, (40, 40)))
     robot.robots.advance(200 * MS)
     speed = wheel_speed(40)
     assert robot.wheels[0] == pytest.approx(speed * -math.expm1(-0.2 / LAG_S), rel=1e-6)
@@ -113,12 +113,12 @@ def test_a_weak_wheel_turns_at_its_share_of_the_commanded_speed_from_then_on(sha
     robot = robot_at_start()
     speed = wheel_speed(40)
     settled = pytest.approx(speed * -math.expm1(-0.2 / LAG_S), rel=1e-6)
-    robot.hear(frame(1, (40, 40)))
+    robot.receive(frame(1, (40, 40)))
     robot.robots.advance(200 * MS)
     assert robot.wheels == (settled, settled)
     act(robot.acting, "weak_wheel", robot="green", wheel="left", share=share)
     act(robot.acting, "weak_wheel", robot="red", wheel="both", share=0.1)  # of another robot
     for sequence in range(2, 8):
-        robot.hear(frame(sequence, (40, 40)))
+        robot.receive(frame(sequence, (40, 40)))
         robot.robots.advance(200 * sequence * MS)
     assert robot.wheels == pytest.approx((share * speed, speed), rel=1e-6)

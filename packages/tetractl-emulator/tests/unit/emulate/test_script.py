@@ -5,7 +5,7 @@ from testkit.emulator.lab_processes import camera_of, emulated
 from testkit.emulator.scripts import load_script
 from testkit.paths import SCRIPTS
 from testkit.schema_errors import without_words
-from tetractl_emulator.script import Script, Sides, parse_script
+from tetractl_emulator.script import DeviceClasses, Script, parse_script
 
 from tetractl.core.errors import AbortError, SpecError
 
@@ -23,7 +23,7 @@ def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
 
 def test_every_fault_has_a_script():
     used = {fault.fault for path in FOLDER.glob("*.yaml") for fault in load_script(path).faults}
-    assert used == set(Sides.of_types("optitrack", "m3pi-xbee").faults) - {"mark"}
+    assert used == set(DeviceClasses.of_types("optitrack", "m3pi-xbee").faults) - {"mark"}
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_only_the_microscopes_software_is_named_as_missing(monkeypatch, missing,
 
     monkeypatch.setattr("tetractl_emulator.script.EMULATED_CAMERAS.load", load)
     with pytest.raises(expected) as error:
-        Sides.of_types("apriltag", "m3pi-xbee")
+        DeviceClasses.of_types("apriltag", "m3pi-xbee")
     if expected is AbortError:
         assert "emulating apriltag needs tetractl-microscope" in str(error.value)
 
@@ -91,5 +91,5 @@ def test_only_the_microscopes_software_is_named_as_missing(monkeypatch, missing,
 @pytest.mark.parametrize("types", [("camera", "m3pi-xbee"), ("optitrack", "wings")])
 def test_a_type_that_cannot_be_emulated_comes_with_those_that_can(types):
     with pytest.raises(SpecError, match="cannot be emulated") as error:
-        Sides.of_types(*types)
+        DeviceClasses.of_types(*types)
     assert ("optitrack" if types[0] == "camera" else "m3pi-xbee") in error.value.hint

@@ -101,7 +101,7 @@ def test_exposures_come_at_the_rate_and_images_after_the_latency_unless_robots_a
     latency_s = camera.pictures.latency_ns / SECOND
     for age_s in ages_s(dish):
         assert latency_s <= age_s <= latency_s + period_s + 2 * MILLISECOND / SECOND
-    dish.emulation.injector.acting.carried = True
+    dish.emulation.injector.acting.robots_are_carried = True
     dish.clock.sleep_until(dish.clock.now() + SECOND // 3)
     assert min(ages_s(dish)) > 0.3
     ran_s = began_s + 2 / 3

@@ -9,13 +9,13 @@ from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.emulated_radio import (
     ACK_NS,
-    AIR_NS_A_BYTE,
-    AIR_OVERHEAD,
-    BACKOFF_NS,
-    RECEIVED,
+    AIR_NS_PER_BYTE,
+    AIR_OVERHEAD_BYTES,
+    BACKOFF_MAX_NS,
+    RECEIVED_HEADER,
     ROBOT_BAUD,
     EmulatedRadio,
-    at_response,
+    encode_at_response,
 )
 from tetractl_emulator.m3pi.robot_radio import RobotRadio
 from tetractl_emulator.port import uart_ns
@@ -39,7 +39,7 @@ class Robot:
         self.heard = []
         self.answers = []
 
-    def hear(self, data):
+    def receive(self, data):
         self.heard.append((data, self.timeline.now_ns))
 
     def answer(self):
@@ -72,7 +72,7 @@ class Radio:
 
     def send(self, content):
         self.waiting.append(encode(content))
-        self.radio.readable()
+        self.radio.read_port()
         self.timeline.run_to(self.timeline.now_ns + SECOND // 2)
 
     def heard(self):
@@ -98,7 +98,10 @@ def test_a_question_for_a_parameter_is_answered_and_a_setting_is_refused(command
     radio = Radio()
     radio.send(bytes((AT_COMMAND, 0x21)) + command)
     radio.send(bytes((AT_COMMAND, 0x22)) + command + b"\1")
-    assert radio.came() == [at_response(0x21, command, value), at_response(0x22, command, None)]
+    assert radio.came() == [
+        encode_at_response(0x21, command, value),
+        encode_at_response(0x22, command, None),
+    ]
     assert radio.heard() == [[], []]
     assert radio.events == []
 
@@ -112,9 +115,9 @@ def test_other_frames_and_cut_questions_are_ignored(content):
 
 
 def test_an_answer_has_its_number_its_status_and_its_value():
-    assert at_response(7, b"VR", b"\x10\xec") == b"\x88\x07VR\x00\x10\xec"
-    assert at_response(7, b"QQ", None) == b"\x88\x07QQ\x02"
-    assert at_response(7, b"ND", b"") == b"\x88\x07ND\x00"
+    assert encode_at_response(7, b"VR", b"\x10\xec") == b"\x88\x07VR\x00\x10\xec"
+    assert encode_at_response(7, b"QQ", None) == b"\x88\x07QQ\x02"
+    assert encode_at_response(7, b"ND", b"") == b"\x88\x07ND\x00"
 
 
 def test_a_broadcast_reaches_each_robot_once_and_is_recorded():
@@ -142,9 +145,9 @@ def test_a_broadcast_takes_its_time_on_both_wires_and_in_the_air():
         radio.send(BROADCAST + DRIVE)
         size = len(DRIVE)
         least_ns = uart_ns(len(encode(BROADCAST + DRIVE)), BAUD)
-        least_ns += (size + AIR_OVERHEAD) * AIR_NS_A_BYTE + uart_ns(size, ROBOT_BAUD)
+        least_ns += (size + AIR_OVERHEAD_BYTES) * AIR_NS_PER_BYTE + uart_ns(size, ROBOT_BAUD)
         heard_ns = radio.robots[0].heard[0][1]
-        assert least_ns <= heard_ns <= least_ns + BACKOFF_NS
+        assert least_ns <= heard_ns <= least_ns + BACKOFF_MAX_NS
         assert radio.robots[1].heard[0][1] == heard_ns
 
 
@@ -152,14 +155,14 @@ def test_broadcasts_wait_for_the_air_one_after_another():
     radio = Radio()
     for _ in range(5):
         radio.waiting.append(encode(BROADCAST + DRIVE))
-    frame_ns = (len(DRIVE) + AIR_OVERHEAD) * AIR_NS_A_BYTE
-    radio.radio.hear(b"".join(radio.waiting))
+    frame_ns = (len(DRIVE) + AIR_OVERHEAD_BYTES) * AIR_NS_PER_BYTE
+    radio.radio.receive(b"".join(radio.waiting))
     radio.timeline.run_to(SECOND)
     times_ns = [at_ns for _, at_ns in radio.robots[0].heard]
     gaps_ns = np.diff(times_ns)
     assert len(times_ns) == 5
     assert (gaps_ns >= frame_ns).all()
-    assert (gaps_ns <= frame_ns + BACKOFF_NS).all()
+    assert (gaps_ns <= frame_ns + BACKOFF_MAX_NS).all()
 
 
 def test_a_robot_hears_late_by_the_radio_and_by_its_own_delay():
@@ -178,10 +181,10 @@ def test_a_robot_hears_late_by_the_radio_and_by_its_own_delay():
 def test_packets_that_overtake_are_late_by_up_to_the_fault_each_by_another_time():
     radio = Radio()
     act(radio.acting, "overtaken_packets", by=0.2)
-    delays_ns = [radio.radio.late_ns() for _ in range(400)]
+    delays_ns = [radio.radio.sample_delay_ns() for _ in range(400)]
     assert 0 <= min(delays_ns) < 0.01 * SECOND
     assert 0.19 * SECOND < max(delays_ns) <= 0.2 * SECOND
-    assert Radio().radio.late_ns() == 0
+    assert Radio().radio.sample_delay_ns() == 0
 
 
 def test_a_doubled_packet_is_heard_twice():
@@ -208,15 +211,15 @@ def test_the_worst_of_all_losses_counts_and_a_deaf_robot_is_deaf_alone(
     radio = Radio(loss)
     if fault:
         act(radio.acting, fault.pop("name"), **fault)
-    assert radio.radio.loss_to("green") == to_green
-    assert radio.radio.loss_to("blue") == to_blue
-    assert radio.radio.loss_to() == to_pc
+    assert radio.radio.loss_probability("green") == to_green
+    assert radio.radio.loss_probability("blue") == to_blue
+    assert radio.radio.loss_probability() == to_pc
 
 
 def test_as_many_packets_are_lost_as_the_loss_says_each_robot_for_itself():
     radio = Radio(loss=0.25, seed=88)
     for _ in range(1000):
-        radio.radio.pass_on(DRIVE, 0)
+        radio.radio.deliver(DRIVE, 0)
     radio.timeline.run_to(1)
     counts = [len(robot.heard) for robot in radio.robots]
     assert counts == pytest.approx([750, 750], abs=55)  # 4 standard deviations
@@ -228,9 +231,9 @@ def test_as_many_packets_are_lost_as_the_loss_says_each_robot_for_itself():
 
 def test_another_program_stops_and_drives_all_robots():
     radio = Radio()
-    radio.radio.stop_elsewhere(4)
+    radio.radio.stop_from_other_program(4)
     radio.timeline.run_to(SECOND // 10)
-    radio.radio.drive_elsewhere(9, (7, -8))
+    radio.radio.drive_from_other_program(9, (7, -8))
     radio.timeline.run_to(SECOND)
     green, blue = radio.heard()
     assert green == blue
@@ -257,11 +260,11 @@ def test_a_robots_answer_comes_at_the_program_as_a_received_packet():
     radio.robots[1].answers = [b"fine"]
     radio.radio.poll_answers()
     radio.timeline.run_to(SECOND)
-    assert radio.came() == [RECEIVED + b"fine"]
+    assert radio.came() == [RECEIVED_HEADER + b"fine"]
     came_ns = radio.written[0][1]
-    least_ns = uart_ns(4, ROBOT_BAUD) + (4 + AIR_OVERHEAD) * AIR_NS_A_BYTE
-    least_ns += uart_ns(len(encode(RECEIVED + b"fine")), BAUD)
-    assert least_ns <= came_ns <= least_ns + BACKOFF_NS
+    least_ns = uart_ns(4, ROBOT_BAUD) + (4 + AIR_OVERHEAD_BYTES) * AIR_NS_PER_BYTE
+    least_ns += uart_ns(len(encode(RECEIVED_HEADER + b"fine")), BAUD)
+    assert least_ns <= came_ns <= least_ns + BACKOFF_MAX_NS
     radio.radio.poll_answers()
     radio.timeline.run_to(2 * SECOND)
     assert len(radio.written) == 1
@@ -283,17 +286,17 @@ def test_an_answer_is_tried_four_times_and_each_try_takes_the_air():
     began_ns = dead.timeline.now_ns
     dead.acting.remove(lost)
     dead.send(BROADCAST + DRIVE)
-    tries_ns = 4 * ((4 + AIR_OVERHEAD) * AIR_NS_A_BYTE + ACK_NS)
+    tries_ns = 4 * ((4 + AIR_OVERHEAD_BYTES) * AIR_NS_PER_BYTE + ACK_NS)
     assert dead.robots[0].heard[0][1] > began_ns + tries_ns - 2 * MILLISECOND
 
 
 class Plain(RobotRadio):
     """A radio that passes on what robots answer at once."""
 
-    def hear(self, data):
+    def receive(self, data):
         raise NotImplementedError
 
-    def _command(self, sealed):
+    def _decode_command(self, frame):
         raise NotImplementedError
 
 
@@ -305,8 +308,8 @@ def test_a_plain_radio_sends_each_answer_and_lets_no_other_program_in():
     radio = Plain(timeline, port, BAUD, None, robots, 0.0, 1)
     robots[1].answers = [b"fine"]
     radio.poll_answers()
-    radio.stop_elsewhere(1)
-    radio.drive_elsewhere(1, (5, 5))
+    radio.stop_from_other_program(1)
+    radio.drive_from_other_program(1, (5, 5))
     timeline.run_to(SECOND)
     assert written == [b"fine"]
     assert robots[0].heard == robots[1].heard == []

@@ -3,7 +3,7 @@
 import pytest
 from testkit.device_replies import packed_reply
 from testkit.emulator.heard_port import HeardPort
-from tetractl_emulator.m3pi.emulated_radio import at_response
+from tetractl_emulator.m3pi.emulated_radio import encode_at_response
 from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.virtual_lab import LabClock
 
@@ -60,7 +60,7 @@ class Module:
                 for answer in self.respond(content):
                     self.say(answer)
             elif command in self.answers:
-                self.say(at_response(content[1], command, self.answers[command]))
+                self.say(encode_at_response(content[1], command, self.answers[command]))
 
     def say(self, content):
         self.port.write(encode(content))

@@ -60,7 +60,7 @@ def broadcast_to(fleet, number, command, known_wheels):
     of_robots = tuple(tuple(pair) for pair in counts.T.tolist())
     frame = encode_command(BroadcastCommand(number, Flag.RUN, of_robots))
     for robot in fleet.robots:
-        robot.hear(frame)
+        robot.receive(frame)
 
 
 def test_simulated_and_emulated_robots_drive_the_same_path():

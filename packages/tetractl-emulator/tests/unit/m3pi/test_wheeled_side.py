@@ -30,10 +30,10 @@ class Radio:
         self.driven = []
         self.stopped = []
 
-    def drive_elsewhere(self, sequence, counts):
+    def drive_from_other_program(self, sequence, counts):
         self.driven.append((self.timeline.now_ns, sequence, counts))
 
-    def stop_elsewhere(self, number):
+    def stop_from_other_program(self, number):
         self.stopped.append((self.timeline.now_ns, number))
 
 
@@ -49,7 +49,7 @@ class Side(WheeledSide):
 
 def test_another_sender_sends_ten_stops_at_the_usual_times():
     side = Side()
-    side.stop_elsewhere()
+    side.stop_from_other_program()
     side.timeline.run_to(3 * SECOND)
     for radio in side.radios:
         assert radio.stopped == [(k * STOP_GAP_NS, k) for k in range(STOPS)]
@@ -59,7 +59,7 @@ def test_another_sender_sends_ten_stops_at_the_usual_times():
 def test_another_sender_drives_at_its_rate_until_the_fault_ends(follows):
     side = Side()
     fault = SimpleNamespace(rate=10.0, follows=follows, counts=(20, -20))
-    end = side.drive_elsewhere(fault)
+    end = side.drive_from_other_program(fault)
     side.timeline.run_to(SECOND)
     end()
     side.timeline.run_to(2 * SECOND)
@@ -81,7 +81,7 @@ def speeds(lab, counts=(20, 20), seconds=0.2):
     """The wheel speeds of both robots [mm/s], which are sent counts by another program."""
     actuator = lab.emulation.actuator
     for radio in actuator.radios:
-        radio.drive_elsewhere(1, counts)
+        radio.drive_from_other_program(1, counts)
     lab.clock.sleep_until(lab.clock.now() + round(seconds * SECOND))
     return [robot.wheels for robot in actuator.robots]
 

@@ -87,7 +87,13 @@ def test_a_fault_ends_unless_it_is_of_a_moment_strong_or_has_a_time_of_its_own(l
 
 @pytest.mark.parametrize(("start", "stop"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.2, 0.3)])
 def test_a_row_states_how_often_its_fault_begins_at_the_start_or_the_stop(start, stop):
-    row = FaultRow("kind", "right", start=start, stop=stop, fields={"by": value_between(1, 2)})
+    row = FaultRow(
+        "kind",
+        "right",
+        start_fraction=start,
+        stop_fraction=stop,
+        fields={"by": value_between(1, 2)},
+    )
     random = Random(SEED)
     faults = [fault for _ in range(DAYS) for fault in faults_of_day(random, ["a", "b"], [row])]
     counts = Counter(fault.get("since") for fault in faults)

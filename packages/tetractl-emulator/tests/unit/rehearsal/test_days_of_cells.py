@@ -41,6 +41,6 @@ def test_cells_that_swim_after_the_stop_break_nothing_but_a_wrong_end_does(said,
     ]
     day = DayOutcome(DayPlan(1, {}, [DARK]), events, 1, said, None, "", 1.0)
     limits = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment.lab.limits
-    truth = Truth(day, SETUP, limits, 0.25, halts=False)
+    truth = Truth(day, SETUP, limits, 0.25, can_stand_still=False)
     names = {violation.name for violation in outcome_violations(truth)}
     assert names - {"log"} == broken  # this day has no log

@@ -493,7 +493,7 @@ def test_a_pose_that_repeats_is_not_known_to_be_frozen_at_once(turned_before_s, 
     turned = [[x, y, heading + 1.2], *STARTS[1:]]
     truth = with_log(STARTS)
     truth.day.events[-4]["poses"] = turned
-    vars(truth)["repeated"] = np.ones((4, 3), bool)
+    vars(truth)["is_repeated"] = np.ones((4, 3), bool)
     truth.day.events.insert(2, truth_at(2.2 - turned_before_s, 180.0, STARTS))
     assert breaks(3, "untrue", truth) == wrong
 
@@ -537,7 +537,7 @@ def test_a_camera_that_slipped_before_the_run_is_what_no_camera_shows(ended_s, u
     slips |= {"scale": 0.999, "creeps": True}
     end = at(ended_s, "fault", phase="end", row=0)
     truth = day([starts(0.8), *RUN, truth_at(2.2, 180.0), end], fault=slips)
-    assert truth.false_as_true is unseen
+    assert truth.false_poses_look_true is unseen
 
 
 REACTION_S = LabLimits().reaction

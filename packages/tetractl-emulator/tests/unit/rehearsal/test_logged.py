@@ -23,11 +23,11 @@ def truth(commands=(), sent=(), began_s=0.0):
     )
     return SimpleNamespace(
         trial=log,
-        met=lambda *names: False,
+        had_fault=lambda *names: False,
         commands=messages,
         commanded_s=np.array([message["t_ns"] for message in messages]) / 1e9,
-        drives=lambda message: message["drives"],
-        began_s=began_s,
+        driven_by=lambda message: message["drives"],
+        steering_began_s=began_s,
         logged_exposures=np.array([], int),
         faults=(),
     )

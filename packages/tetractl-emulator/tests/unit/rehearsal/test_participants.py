@@ -7,7 +7,7 @@ from testkit.paths import EXAMPLES
 from tetractl_emulator.fault_rows import FaultRow
 from tetractl_emulator.faults import fault_kind
 from tetractl_emulator.rehearsal.day_plan import plan_of_day, rows_of
-from tetractl_emulator.script import Sides, parse_script
+from tetractl_emulator.script import DeviceClasses, parse_script
 from tetractl_emulator.twist.side import EmulatedTwist
 
 from tetractl.spec.load import load_spec, parse_spec
@@ -89,8 +89,8 @@ def test_a_side_of_its_own_takes_part_with_its_faults(monkeypatch):
             ),
         )
 
-    camera = Sides.of_types("optitrack", "twist").camera
-    monkeypatch.setattr(Sides, "of_types", lambda *_: Sides(camera, Own))
+    camera = DeviceClasses.of_types("optitrack", "twist").camera
+    monkeypatch.setattr(DeviceClasses, "of_types", lambda *_: DeviceClasses(camera, Own))
     rows = {row.name: row for row in rows_of_spec(TWIST_SPEC)}
     assert rows["drip"].fault == "flood"
     assert "frames lost" in rows

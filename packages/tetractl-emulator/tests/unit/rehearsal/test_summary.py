@@ -7,7 +7,13 @@ from testkit.emulator.made_days import at, give_log
 from testkit.trials import experiment
 from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
-from tetractl_emulator.rehearsal.summary import FIELDS, reasons, row_of, summary, table
+from tetractl_emulator.rehearsal.summary import (
+    SUMMARY_FIELDS,
+    describe_endings,
+    fault_table,
+    frequent_reasons,
+    summarize_day,
+)
 from tetractl_emulator.rehearsal.truth import Truth, Violation
 
 from tetractl.core.plan import Outcome
@@ -28,23 +34,23 @@ ROWS = [
 
 
 def test_times_are_of_days_with_one_fault():
-    lines = table(ROWS).splitlines()
+    lines = fault_table(ROWS).splitlines()
     assert "| pushed | 4 | 3 | 2 | 0.300 | 0.398 | 0.400 |" in lines
     assert "| nan | 1 | 0 | 0 |  |  |  |" in lines
     assert len(lines) == 4
 
 
 def test_shares_and_what_a_day_takes_are_said():
-    assert summary(ROWS) == (
+    assert describe_endings(ROWS) == (
         "2 aborted (50%); 1 complete (25%); 1 refused (25%); 2.00 s of processor time a day"
     )
-    assert summary([]) == "0.00 s of processor time a day"
+    assert describe_endings([]) == "0.00 s of processor time a day"
 
 
 def test_reasons_are_counted_whatever_their_numbers():
     texts = ("", "no frame for 0.51 s", "green is lost", "no frame for 2 s")
     rows = [{"reason": text} for text in texts]
-    assert reasons(rows) == "2 days: no frame for … s\n1 day: green is lost"
+    assert frequent_reasons(rows) == "2 days: no frame for … s\n1 day: green is lost"
 
 
 STARTED = at(1.0, "run")
@@ -58,7 +64,7 @@ def row(events=(STARTED,), exit_code=0, outcome=None, output="", faults=(), foun
     if outcome is not None:
         result = SimpleNamespace(outcome=outcome, reason="green is lost")
         give_log(truth, result=result)
-    return row_of(3, truth, found, 0.25)
+    return summarize_day(3, truth, found, 0.25)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +87,7 @@ def test_a_day_ends_as_its_trial_or_is_refused_or_killed(day, ended):
 def test_a_row_has_each_field_and_the_time_of_the_run_and_of_its_checks():
     found = [Violation("outside", 1.23456, "green: 3 mm"), Violation("log", 0.0, "cut")]
     made = row(found=found, outcome=Outcome.ABORTED, exit_code=1)
-    assert made.keys() == FIELDS
+    assert made.keys() == SUMMARY_FIELDS
     assert made["day"] == 3
     assert made["seconds"] == 2.25
     assert made["reason"] == "green is lost"

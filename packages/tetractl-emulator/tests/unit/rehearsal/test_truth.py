@@ -15,8 +15,8 @@ from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 from tetractl_emulator.rehearsal.truth import (
-    NEAR_S,
-    UNKNOWN,
+    EXPOSURE_MATCH_S,
+    NO_EXPOSURE,
     TimeSpan,
     Truth,
     distances_to_shape,
@@ -85,8 +85,8 @@ def test_a_radius_makes_a_shape_nearer_by_as_much(x, y, radius):
 
 def test_a_picture_shows_the_nearest_exposure_if_one_is_near():
     exposures_s = np.array([0.0, 0.1, 0.2, 0.3])
-    stamps_s = np.array([0.1 + 0.9 * NEAR_S, 0.15, 0.2 - 0.9 * NEAR_S, 9.0])
-    assert nearest_exposures(stamps_s, exposures_s, []).tolist() == [1, UNKNOWN, 2, UNKNOWN]
+    stamps_s = np.array([0.1 + 0.9 * EXPOSURE_MATCH_S, 0.15, 0.2 - 0.9 * EXPOSURE_MATCH_S, 9.0])
+    assert nearest_exposures(stamps_s, exposures_s, []).tolist() == [1, NO_EXPOSURE, 2, NO_EXPOSURE]
 
 
 def test_a_picture_read_while_the_program_was_suspended_shows_none_that_is_known():
@@ -94,16 +94,16 @@ def test_a_picture_read_while_the_program_was_suspended_shows_none_that_is_known
     suspended = [TimeSpan(0.05, 0.15), TimeSpan(0.25, 0.35)]
     assert nearest_exposures(exposures_s, exposures_s, suspended).tolist() == [
         0,
-        UNKNOWN,
+        NO_EXPOSURE,
         2,
-        UNKNOWN,
+        NO_EXPOSURE,
     ]
 
 
 def test_the_process_ends_a_moment_before_the_emulation():
     truth = truth_of([exposure(1.0), exposure(9.0)])
-    assert truth.alive_s == pytest.approx(9.0 - AFTER_NS / SECOND)
-    assert truth_of([]).alive_s == 0.0
+    assert truth.process_ended_s == pytest.approx(9.0 - AFTER_NS / SECOND)
+    assert truth_of([]).process_ended_s == 0.0
 
 
 def test_a_command_acts_until_the_next_one_or_the_watchdog():
@@ -124,8 +124,8 @@ def test_a_command_acts_until_the_next_one_or_the_watchdog():
 )
 def test_a_command_drives_a_robot_if_it_may_run_and_a_wheel_turns(command, drives):
     truth = truth_of([at(1.0, "command", **command)])
-    assert truth.drives(truth.commands[0]) == drives
-    assert truth.halts_s == ([] if any(drives) else [1.0])
+    assert truth.driven_by(truth.commands[0]) == drives
+    assert truth.stop_commands_s == ([] if any(drives) else [1.0])
 
 
 @pytest.mark.parametrize(
@@ -143,16 +143,16 @@ def test_robots_may_be_driven_while_the_guard_runs_or_holds(states, spans, ended
     events = [guard(seconds, state) for seconds, state in states]
     truth = truth_of([*events, exposure(9.0 + AFTER_NS / SECOND)])
     assert [(span.began_s, span.ended_s) for span in truth.driven_spans] == spans
-    assert truth.ended_s == ended_s
-    assert truth.left_s == ended_s
+    assert truth.driving_ended_s == ended_s
+    assert truth.undriven_from_s == ended_s
 
 
 def test_a_kill_ends_driving_if_it_comes_first():
     kill = {"kind": "killed", "fault": "signal", "signal": "KILL", "at": 3.0}
     start = at(3.0, "fault", phase="start", name="signal", row=0)
     truth = truth_of([guard(2.0, "run"), start, guard(5.0, "abort")], [kill])
-    assert truth.killed
-    assert (truth.left_s, truth.ended_s) == (3.0, 5.0)
+    assert truth.was_killed
+    assert (truth.undriven_from_s, truth.driving_ended_s) == (3.0, 5.0)
 
 
 def test_faults_are_visible_from_their_start_to_their_end_and_have_their_own_fields():
@@ -165,11 +165,11 @@ def test_faults_are_visible_from_their_start_to_their_end_and_have_their_own_fie
         at(5.0, "fault", phase="end", row=1),
     ]
     truth = truth_of(events, [late, later, never])
-    spans = {fault.kind: (fault.span.began_s, fault.span.ended_s) for fault in truth.faults}
+    spans = {fault.variant: (fault.span.began_s, fault.span.ended_s) for fault in truth.faults}
     assert spans == {"later": (2.0, math.inf), "late": (4.0, 5.0)}
     assert truth.longest_delay_s == pytest.approx(0.5)
-    assert truth.met("reordered")
-    assert not truth.met("busy")
+    assert truth.had_fault("reordered")
+    assert not truth.had_fault("busy")
 
 
 def test_wheels_time_unseen_and_status_of_an_exposure_are_those_of_each_robot():
@@ -210,7 +210,7 @@ def test_a_ghost_looks_true_up_to_what_the_wheels_of_the_fastest_robot_may_be_of
     ghost = {"kind": "ghost", "fault": "ghost", "by": [0.0, speed_mm_s * FRAME_S], "at": 1.0}
     truth = truth_of([at(1.0, "fault", phase="start", row=0)], [ghost])
     truth.setup = setup
-    assert truth.false_as_true is hidden
+    assert truth.false_poses_look_true is hidden
 
 
 def accepted_x(result, valid=((True, True, True), (True, True, True))):
@@ -227,7 +227,7 @@ def accepted_x(result, valid=((True, True, True), (True, True, True))):
         mocap_ns=np.array([20_000_000, 30_000_000]),
         valid=np.array(valid),
     )
-    return (truth.accepted[:, 0, 0] / truth.unit_mm).tolist()
+    return (truth.accepted_poses[:, 0, 0] / truth.unit_mm).tolist()
 
 
 def test_the_newest_accepted_pose_is_kept_to_the_end_of_the_log():

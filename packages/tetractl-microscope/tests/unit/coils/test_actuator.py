@@ -354,7 +354,7 @@ def test_another_speed_or_no_driver_is_told():
         (problem,) = actuator.check().problems
     assert "no current driver answers on" in problem
     assert "at 115200 baud" in problem
-    assert stage.driver.garbled > 0
+    assert stage.driver.n_garbled_chunks > 0
 
 
 @needs_compiler

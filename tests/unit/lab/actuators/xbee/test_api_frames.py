@@ -5,7 +5,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from testkit.targets import at_response
+from testkit.targets import encode_at_response
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.api_frames import (
@@ -116,9 +116,9 @@ def test_data_is_read_from_every_frame_in_which_a_module_reports_it(head):
 
 
 def test_answers_to_requests():
-    assert answered(at_response(5, b"AP", b"\x02")) == (5, b"AP", b"\x02")
-    assert answered(at_response(5, b"QQ", None)) == (5, b"QQ", None)
-    assert answered(at_response(5, b"AP", b"")[:-1]) is None
+    assert answered(encode_at_response(5, b"AP", b"\x02")) == (5, b"AP", b"\x02")
+    assert answered(encode_at_response(5, b"QQ", None)) == (5, b"QQ", None)
+    assert answered(encode_at_response(5, b"AP", b"")[:-1]) is None
     assert answered(b"\x81\0\1\0\0") is None
 
 

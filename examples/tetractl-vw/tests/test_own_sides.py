@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tetractl_emulator.emulated_udp import UdpPlug
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_lab import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, start_emulated_lab
 from tetractl_vw import TEMPLATES
 from tetractl_vw.actuator import VwRobots
 from tetractl_vw.camera import JsonPoses, JsonPosesSection
@@ -39,7 +39,7 @@ def vw(old="", new="", plant=None):
 def emulation(experiment, record=None):
     clock = LabClock()
     options = Options(address=None, record=record)
-    return started(experiment.lab, experiment.setup, clock, options), clock
+    return start_emulated_lab(experiment.lab, experiment.setup, clock, options), clock
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.m3pi.wheeled_side import PortedSide
 from tetractl_emulator.pose_stream import PoseStream
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_lab import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, start_emulated_lab
 
 
 def check_lab(lab: LabSection, setup: Setup) -> None:
@@ -30,7 +30,7 @@ def check_lab(lab: LabSection, setup: Setup) -> None:
         AssertionError: If a check fails, or if a device is emulated by another class.
     """
     clock = LabClock()
-    emulation = started(lab, setup, clock, Options(address=None))
+    emulation = start_emulated_lab(lab, setup, clock, Options(address=None))
     camera = emulation.camera
     actuator = emulation.actuator
     assert isinstance(camera, PoseStream), "the camera's emulated side is a PoseStream"

@@ -27,9 +27,9 @@ from tetractl_emulator.wires import Wires
 
 Report = Callable[[str, Facts], None]
 TICK_NS = 2 * MILLISECOND
-"""Time between two checks of the robots' motion, and of what else is due regularly [ns]."""
+"""Time between two calls of the periodic work, such as the check of the robots' motion [ns]."""
 CARRIED_NS = SECOND // 2
-"""Time for which robots are carried, before they stand on their starts [ns]."""
+"""Time for which a person carries the robots to their starts [ns]."""
 _as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
@@ -46,7 +46,8 @@ class EmulatedLab:
         wires: Creates the connections. None for real sockets and ports.
         process_of: Creates the target of the faults that act on the driving process. None for the
             process that locks the actuator's port.
-        blind: The camera to use instead of an emulated one. None to emulate the camera.
+        stand_in_camera: Stands in for the emulated camera if the camera is real. None to emulate
+            the camera.
 
     Raises:
         SpecError: If the script names a robot that the spec lacks.
@@ -62,7 +63,7 @@ class EmulatedLab:
         make_loop: type[Loop] = Loop,
         wires: Wires | None = None,
         process_of: Callable[["EmulatedLab"], Process] | None = None,
-        blind: EmulatedCamera | None = None,
+        stand_in_camera: EmulatedCamera | None = None,
     ) -> None:
         _check_names(script, setup)
         self._setup = setup
@@ -73,23 +74,25 @@ class EmulatedLab:
         start_ns = make_loop.now()
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
         self.loop = make_loop(self.timeline, lambda lag: self.note("late", lag_ms=lag / 1e6))
-        self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
+        self.injector = Injector(self.timeline, script.faults, self._device_of, self._note_fault)
         acting = self.injector.acting
         note = None if options.record is None else self.note
-        reports = note, self._exposed, self.injector.sent, self._client
+        reports = note, self._note_exposure, self.injector.note_frame_sent, self._note_client
         self.wires = wires or Wires()
-        self._ruling = ("", "")
+        self._guard_state = ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires, acting)
-        sides = DeviceClasses.of_types(lab.camera.type, lab.actuator.type)
-        emulated = script.emulation
-        self.actuator: EmulatedActuator = sides.actuator(
-            stage, emulated.actuator or sides.actuator.Settings()
+        device_classes = DeviceClasses.of_types(lab.camera.type, lab.actuator.type)
+        emulation_settings = script.emulation
+        self.actuator: EmulatedActuator = device_classes.actuator(
+            stage, emulation_settings.actuator or device_classes.actuator.Settings()
         )
-        self.camera: EmulatedCamera = blind or sides.camera(
-            stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
+        self.camera: EmulatedCamera = stand_in_camera or device_classes.camera(
+            stage,
+            emulation_settings.camera or device_classes.camera.Settings(),
+            self.actuator.bodies,
         )
         self._process = process_of(self) if process_of else Process(self, self.wires.clock())
-        self._moving = [False] * len(self.actuator.bodies)
+        self._is_moving = [False] * len(self.actuator.bodies)
         self._has_run = False  # whether robots were driven since they were put on their starts
         self._at_rest_since_ns: int | None = start_ns  # None while any robot moves
         self._put_on_starts()
@@ -104,7 +107,7 @@ class EmulatedLab:
     def open(self) -> None:
         """Open the ports and start the emulation.
 
-        If one port cannot be opened, release all of them.
+        If one port cannot be opened, all ports are released.
 
         Raises:
             TetractlError: If the record cannot be written, or if a port cannot be opened.
@@ -150,17 +153,16 @@ class EmulatedLab:
         actuator = self.actuator
         return actuator.serial_devices[0].port.name if isinstance(actuator, PluggedDevices) else ""
 
-    def ruled(self, state: str, reason: str) -> None:
+    def note_guard_state(self, state: str, reason: str) -> None:
         """Record the state of the program's guard and its reason, if they have changed."""
-        if (state, reason) != self._ruling:
-            self._ruling = (state, reason)
+        if (state, reason) != self._guard_state:
+            self._guard_state = (state, reason)
             self.note("guard", state=str(state), reason=reason)
 
     def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator | Process:
-        """Return the device on which a fault acts, or the process of the program that is tested.
+        """Find the target of a fault: the program's process, the camera or the actuator.
 
-        A fault of the process takes precedence over one of the camera, and that over the
-        actuator's.
+        If several of them can have this kind of fault, the first in this order is the target.
         """
         if type(fault) in PROCESS_FAULTS:
             return self._process
@@ -169,40 +171,48 @@ class EmulatedLab:
     def note(self, event: str, **facts: Any) -> None:
         """Add an event with its facts and the present time to the record, if there is one.
 
-        The time "t_ns" is that of `time.monotonic_ns`, or virtual time. The events "command" and
-        "truth" also get "unseen_ms": for each robot, the time since the camera last showed it
-        [ms].
+        The fact "t_ns" is the time by `time.monotonic_ns`, or the virtual time. The events
+        "command" and "truth" also get the fact "unseen_ms": for each robot, the time since the
+        camera last showed the robot [ms].
+
+        Args:
+            event: Kind of the event.
+            facts: The facts of the event, by name.
         """
         if self._record is None:
             return
-        now = self.timeline.now_ns
+        now_ns = self.timeline.now_ns
         if event in ("command", "truth"):
-            facts["unseen_ms"] = [round((now - t_ns) / 1e6, 1) for t_ns in self.camera.shown_ns]
-        self._record.write(_as_json({"t_ns": now, "event": event, **facts}) + "\n")
+            facts["unseen_ms"] = [round((now_ns - t_ns) / 1e6, 1) for t_ns in self.camera.shown_ns]
+        self._record.write(_as_json({"t_ns": now_ns, "event": event, **facts}) + "\n")
 
-    def _exposed(self, exposure: int, frame: int) -> None:
+    def _note_exposure(self, exposure: int, frame: int) -> None:
         """Report an exposure to the injector, and record the true poses [mm, rad] at that time."""
-        self.injector.exposed(exposure)
+        self.injector.note_exposure(exposure)
         if self._record is not None:
             bodies = self.actuator.bodies
             self.note(
                 "truth",
                 exposure=exposure,
                 frame=frame,
-                poses=[[round(b.x, 3), round(b.y, 3), round(b.heading, 5)] for b in bodies],
+                poses=[
+                    [round(body.x, 3), round(body.y, 3), round(body.heading, 5)] for body in bodies
+                ],
                 **self.actuator.truth,
             )
 
-    def _client(self, address: str) -> None:
+    def _note_client(self, address: str) -> None:
         """Record and report a new client of the camera."""
         self.note("client", address=address)
         self._report("client", {"address": address})
         self.injector.note_event("client")
 
-    def _fault(self, phase: str, fault: Fault) -> None:
-        """Record and report that a fault begins ("start") or ends ("end").
+    def _note_fault(self, phase: str, fault: Fault) -> None:
+        """Record and report that a fault begins or ends.
 
-        The facts include its robot and its mark, or None.
+        Args:
+            phase: "start" if the fault begins, "end" if it ends.
+            fault: The fault.
         """
         fields = dict(fault)
         robot = fields.get("robot")
@@ -222,36 +232,36 @@ class EmulatedLab:
         self.timeline.at(now_ns + TICK_NS, self._tick)
 
     def _note_run(self, now_ns: int) -> None:
-        """Record the first command that drives robots, and report when none is driven after it.
+        """Record the first command that drives robots, and notify the injector of a later stop.
 
-        A later stop is reported at each call, but the injector only counts the first one.
+        The injector is notified at each call without driven robots, but only counts the first stop.
         """
-        driven = self.actuator.driven
-        if driven and not self._has_run:
+        is_driven = self.actuator.driven
+        if is_driven and not self._has_run:
             self._has_run = True
-            if self._at_rest_since_ns is not None:  # rest before a run does not count
+            if self._at_rest_since_ns is not None:  # standstill before a run does not count
                 self._at_rest_since_ns = now_ns
             self.note("run")
             self._report("run", {})
             self.injector.note_event("run")
-        elif self._has_run and not driven:
+        elif self._has_run and not is_driven:
             self.injector.note_event("stop")
 
     def _note_motion(self, now_ns: int) -> None:
         """Record each robot that starts or stops moving.
 
-        Report "moving" when the first robot starts, and "rest" when the last one has stopped.
+        Report "moving" when the first robot starts, and "rest" when the last robot has stopped.
         """
         for i, body in enumerate(self.actuator.bodies):
-            if self._moving[i] == body.standing:
-                self._moving[i] = not body.standing
-                self.note("robot", name=body.name, moving=self._moving[i])
+            if self._is_moving[i] == body.standing:
+                self._is_moving[i] = not body.standing
+                self.note("robot", name=body.name, moving=self._is_moving[i])
         was_at_rest = self._at_rest_since_ns is not None
-        moving = any(self._moving)
-        if moving and was_at_rest:
+        any_moves = any(self._is_moving)
+        if any_moves and was_at_rest:
             self._at_rest_since_ns = None
             self._report("moving", {})
-        elif not moving and not was_at_rest:
+        elif not any_moves and not was_at_rest:
             self._at_rest_since_ns = now_ns
             self._report("rest", {})
 
@@ -286,29 +296,34 @@ class EmulatedLab:
         """
         if self._options.trials_choose_robots:
             return
-        mm = self._setup.metres * 1000
+        unit_mm = self._setup.metres * 1000
         starts = self._setup.starts
-        placed = {robot.name: robot for robot in self._script.emulation.robots}
+        override_by_name = {robot.name: robot for robot in self._script.emulation.robots}
         for i, body in enumerate(self.actuator.bodies):
             x = float(starts.x[i])
             y = float(starts.y[i])
             heading = float(starts.heading[i])
-            override = placed.get(body.name)
+            override = override_by_name.get(body.name)
             if override is not None:
                 x, y = override.start or (x, y)
                 heading = heading if override.heading is None else override.heading
-            body.place(x * mm, y * mm, heading)
+            body.place(x * unit_mm, y * unit_mm, heading)
 
 
 def _check_names(script: Script, setup: Setup) -> None:
-    """Raise SpecError if a script names a robot that is not in the spec.
+    """Check that a script only names robots of the spec.
 
-    The first such name is reported.
+    Raises:
+        SpecError: If a name is not in the spec. The error reports the first such name.
     """
     emulation = script.emulation
-    sides = [dict(side) for side in (emulation.camera, emulation.actuator) if side is not None]
-    lists = [emulation.robots, *(side.get("robots", ()) for side in sides)]
-    names = [robot.name for robots in lists for robot in robots]
+    device_settings = [
+        dict(settings)
+        for settings in (emulation.camera, emulation.actuator)
+        if settings is not None
+    ]
+    robot_lists = [emulation.robots, *(settings.get("robots", ()) for settings in device_settings)]
+    names = [robot.name for robots in robot_lists for robot in robots]
     names += [name for fault in script.faults for name in fault.names()]
     for name in names:
         if name not in setup.names:

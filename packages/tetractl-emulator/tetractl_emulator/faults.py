@@ -310,11 +310,11 @@ class Injector:
                 begin_ns = self._timeline.now_ns + round(fault.at * SECOND)
                 self._timeline.at(begin_ns, lambda fault=fault: self._begin_and_report(fault))
 
-    def exposed(self, exposure: int) -> None:
+    def note_exposure(self, exposure: int) -> None:
         """Note that a camera is about to take the exposure with this number. Numbers increase."""
         self._newest_exposure = exposure
 
-    def sent(self, exposure: int) -> None:
+    def note_frame_sent(self, exposure: int) -> None:
         """Report the faults that became visible with the frame of an exposure.
 
         To be called with the number of each exposure when its frame was sent, or when a fault has

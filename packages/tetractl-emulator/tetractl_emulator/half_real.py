@@ -25,11 +25,12 @@ from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 
-KEPT_NS = 2 * SECOND  # for how long emulated poses are known, longer than frames are old
+HISTORY_NS = 2 * SECOND
+"""Time for which emulated poses are kept [ns]. No frame is older."""
 
 
 class Blind:
-    """The emulated camera of a lab whose camera is real. It shows nothing."""
+    """A stand-in for the emulated camera in a lab whose camera is real. It shows nothing."""
 
     Settings: ClassVar[type[Model]] = Model
     faults: ClassVar[Sequence[type[Fault]]] = ()
@@ -48,7 +49,7 @@ class Blind:
 class MovedCamera:
     """A real camera above stationary robots, whose poses are displaced as emulated robots drive.
 
-    See `tetractl.core.protocols.Camera`. `look` must be called every millisecond.
+    The class implements `tetractl.core.protocols.Camera`. `look` must be called every millisecond.
 
     Args:
         camera: The real camera.
@@ -63,9 +64,9 @@ class MovedCamera:
         self._clock = clock
         self._mm = mm
         bodies = emulation.actuator.bodies
-        self._home: list[Pose | None] = [None] * len(bodies)
-        self._past = deque[tuple[int, list[tuple[float, float, float]]]]()
-        self._drove = False
+        self._start_poses: list[Pose | None] = [None] * len(bodies)
+        self._emulated_history = deque[tuple[int, list[tuple[float, float, float]]]]()
+        self._has_driven = False
 
     def __enter__(self) -> Self:
         self._camera.__enter__()
@@ -89,48 +90,51 @@ class MovedCamera:
         Until they first drive, the emulated robots are placed where the camera sees the real ones.
         """
         bodies = self._emulation.actuator.bodies
-        now = self._clock.now()
-        self._drove = self._drove or self._emulation.actuator.driven
-        if not self._drove:
-            for body, home in zip(bodies, self._home, strict=True):
-                if home is not None:
-                    body.place(home.x * self._mm, home.y * self._mm, home.heading)
-        self._past.append((now, [(body.x, body.y, body.heading) for body in bodies]))
-        while now - self._past[0][0] > KEPT_NS:
-            self._past.popleft()
+        now_ns = self._clock.now()
+        self._has_driven = self._has_driven or self._emulation.actuator.driven
+        if not self._has_driven:
+            for body, start_pose in zip(bodies, self._start_poses, strict=True):
+                if start_pose is not None:
+                    body.place(start_pose.x * self._mm, start_pose.y * self._mm, start_pose.heading)
+        self._emulated_history.append((now_ns, [(body.x, body.y, body.heading) for body in bodies]))
+        while now_ns - self._emulated_history[0][0] > HISTORY_NS:
+            self._emulated_history.popleft()
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first, with displaced poses."""
-        return [self._moved(frame) for frame in self._camera.frames()]
+        return [self._displace_frame(frame) for frame in self._camera.frames()]
 
-    def _moved(self, frame: CameraFrame) -> CameraFrame:
-        """Return a frame with displaced poses.
+    def _displace_frame(self, frame: CameraFrame) -> CameraFrame:
+        """Displace the poses of a frame.
 
-        Until the emulated robots drive, the poses stay as they are and are stored as the robots'
-        places.
+        Until the emulated robots drive, the poses are returned unchanged, and stored as the start
+        poses of the real robots.
         """
-        if not self._drove:
-            self._home = [new or old for new, old in zip(frame.poses, self._home, strict=True)]
+        if not self._has_driven:
+            self._start_poses = [
+                new or old for new, old in zip(frame.poses, self._start_poses, strict=True)
+            ]
             return frame
         times = frame.exposed_ns or (frame.sampled_ns,) * len(frame.poses)
         poses = [
-            self._at(i, t, pose) for i, (t, pose) in enumerate(zip(times, frame.poses, strict=True))
+            self._displace_pose(i, t, pose)
+            for i, (t, pose) in enumerate(zip(times, frame.poses, strict=True))
         ]
         return replace(frame, poses=tuple(poses))
 
     def _emulated_at(self, at_ns: int) -> Any:
-        """Return the newest emulated poses up to a time [ns].
+        """Find the newest emulated poses up to a time [ns].
 
-        If none is so old, return the oldest one kept.
+        If all kept poses are newer, the result is the oldest poses.
         """
-        past = tuple(self._past)  # a copy, because another thread may add poses
-        for t_ns, poses in reversed(past):
+        history = tuple(self._emulated_history)  # a copy, because another thread may add poses
+        for t_ns, poses in reversed(history):
             if t_ns <= at_ns:
                 return poses
-        _, oldest = past[0]
+        _, oldest = history[0]
         return oldest
 
-    def _at(self, i: int, at_ns: int, pose: Pose | None) -> Pose | None:
+    def _displace_pose(self, i: int, at_ns: int, pose: Pose | None) -> Pose | None:
         """Displace one pose by the distance that the emulated robot had driven at a time.
 
         Args:
@@ -141,22 +145,23 @@ class MovedCamera:
         Returns:
             The displaced pose. None if the robot is untracked or was not seen before the motion.
         """
-        home = self._home[i]
-        if pose is None or home is None:
+        start_pose = self._start_poses[i]
+        if pose is None or start_pose is None:
             return None
         x, y, heading = self._emulated_at(at_ns)[i]
         return replace(
             pose,
-            x=x / self._mm + pose.x - home.x,
-            y=y / self._mm + pose.y - home.y,
-            heading=heading + pose.heading - home.heading,
+            x=x / self._mm + pose.x - start_pose.x,
+            y=y / self._mm + pose.y - start_pose.y,
+            heading=heading + pose.heading - start_pose.heading,
         )
 
 
 class TwinActuator:
-    """A real actuator, and an emulated one that sends the same commands.
+    """A real actuator, together with an emulated actuator that sends the same commands.
 
-    See `tetractl.core.protocols.Actuator`. Failures and answers are those of the real actuator.
+    The class implements `tetractl.core.protocols.Actuator`. Failures and answers come from the real
+    actuator.
 
     Args:
         real: The real actuator.

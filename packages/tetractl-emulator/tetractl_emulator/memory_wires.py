@@ -23,8 +23,8 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import PortHeldError, SerialPort, is_network, missing_port_error
 from tetractl_emulator.port import PseudoPort
 
-FIRST_FREE = 40_000
-"""The first number of a UDP port that is bound to any free one."""
+FIRST_FREE_PORT = 40_000
+"""The first number for UDP sockets that are bound to any free port."""
 
 
 class MemoryNetwork:
@@ -82,8 +82,8 @@ class MemorySocket:
     def bind(self, address: tuple[str, int]) -> None:
         """Listen at an address. Port 0 is replaced by a free port."""
         host, port = address
-        highest = max((taken for _, taken in self._network.sockets), default=0)
-        self._name = (host, port or max(highest + 1, FIRST_FREE))
+        highest_port = max((used_port for _, used_port in self._network.sockets), default=0)
+        self._name = (host, port or max(highest_port + 1, FIRST_FREE_PORT))
         self._network.sockets[self._name] = self
 
     def sendto(self, data: bytes, to: Sequence[Any]) -> None:
@@ -126,7 +126,7 @@ class MemoryPort(PseudoPort):
         super().__init__(link)
         self._network = network
         self._is_network = is_network(self.name)
-        self._taken = deque[bytes]()  # what our end has written, a datagram or a write each
+        self._waiting_data = deque[bytes]()  # data that the device has not read yet
         self.ours: MemorySerial | None = None
         self.is_stalled = False
 
@@ -140,12 +140,9 @@ class MemoryPort(PseudoPort):
         ports[self.name] = self
 
     def unplug(self) -> None:
-        """Remove the port.
-
-        Our end, if it is open, then fails. This method can be called repeatedly.
-        """
+        """Unplug the port. If our end is open, it fails. This method can be called repeatedly."""
         self.fd = -1
-        self._taken.clear()
+        self._waiting_data.clear()
         self._network.ports.pop(self.name, None)
         if self.ours is not None:
             self.ours.hear(b"")
@@ -165,19 +162,19 @@ class MemoryPort(PseudoPort):
 
     def take(self, data: bytes) -> None:
         """Queue bytes that our end of the port has written, until the device reads them."""
-        self._taken.append(data)
+        self._waiting_data.append(data)
 
     def read(self) -> bytes:
         """Return all bytes that our end has written, or the next datagram of a network.
 
         It returns b"" if there is nothing.
         """
-        if not self._taken:
+        if not self._waiting_data:
             return b""
         if self._is_network:
-            return self._taken.popleft()
-        data = b"".join(self._taken)
-        self._taken.clear()
+            return self._waiting_data.popleft()
+        data = b"".join(self._waiting_data)
+        self._waiting_data.clear()
         return data
 
     def write(self, data: bytes) -> None:
@@ -202,18 +199,18 @@ class MemorySerial(SerialPort):
     def __init__(self, network: MemoryNetwork, name: str, baud: int, *rest: Any) -> None:
         super().__init__(name, baud, *rest)
         self._network = network
-        self._devices_end: MemoryPort | None = None  # None while it is closed
+        self._device_end: MemoryPort | None = None  # None while it is closed
         self.bits_a_second = baud
 
     def open(self, exclusive: bool = True) -> None:
-        """Open the port; see `SerialPort.open`. If `exclusive`, it must not be open."""
-        devices_end = self._network.ports.get(str(self._name))
-        if devices_end is None:
+        """Open the port; see `SerialPort.open`. If `exclusive`, it must not be open already."""
+        device_end = self._network.ports.get(str(self._name))
+        if device_end is None:
             raise missing_port_error(self._name, self._device)
-        if devices_end.ours is not None and exclusive:
+        if device_end.ours is not None and exclusive:
             raise PortHeldError(str(self._name))
-        devices_end.ours = self
-        self._devices_end = devices_end
+        device_end.ours = self
+        self._device_end = device_end
 
     def write(self, data: bytes) -> int:
         """Send bytes to the device; see `SerialPort.write`.
@@ -224,11 +221,11 @@ class MemorySerial(SerialPort):
         Raises:
             AbortError: If the port has failed, is closed or takes no bytes.
         """
-        if self.failure or self._devices_end is None:
+        if self.failure or self._device_end is None:
             raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
-        if self._devices_end.is_stalled:
+        if self._device_end.is_stalled:
             raise self._fail(f"accepts no more bytes: {self._device} is stuck")
-        self._devices_end.take(data)
+        self._device_end.take(data)
         return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
@@ -237,9 +234,9 @@ class MemorySerial(SerialPort):
 
     def close(self) -> None:
         """Close the port. This method can be called repeatedly."""
-        if self._devices_end is not None:
-            self._devices_end.ours = None
-        self._devices_end = None
+        if self._device_end is not None:
+            self._device_end.ours = None
+        self._device_end = None
 
     def hear(self, data: bytes) -> None:
         """Pass on bytes from the device to the program, with the present time.

@@ -27,15 +27,17 @@ from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBo
 from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Body, Facts, Stage
 
-OF_A_SERVER = (
+SERVER_FAULTS = (
     *("counter_back", "edit_mode", "bad_datagrams", "other_version", "outdated", "twin_id"),
     *("lifted", "tipped", "nan", "bad_quaternion", "clock_jump", "clock_rate"),
 )
 """Names of the faults that only a motion-capture server can have."""
 
-NEEDS = "the section of a camera with an emulated PoseStream has `address` and `latency`"
-RATE_HZ = 100.0  # of a camera that does not say its rate
-LATENCY_S = 0.01  # of that of `noise_of_day`
+NEEDS_ADDRESS = "the section of a camera with an emulated PoseStream has `address` and `latency`"
+DEFAULT_RATE_HZ = 100.0
+"""Frame rate of a camera whose section states no rate [Hz]."""
+SAMPLED_LATENCY_S = 0.01
+"""Latency of the cameras for which `noise_of_day` samples latencies [s]."""
 
 
 class PoseSettings(Model):
@@ -75,7 +77,7 @@ class Shot:
 class PoseStream(PoseCamera):
     """An emulated camera that sends packed frames to the program at the section's `address`.
 
-    It starts to send when the program has written something, or at once if the program only
+    The camera starts to send when the program has written something, or at once if the program only
     listens.
 
     Args:
@@ -87,34 +89,36 @@ class PoseStream(PoseCamera):
     Settings: ClassVar[type[Model]] = PoseSettings
     numbered = False
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
-        kind for kind in FAULTS if kind.__name__ not in OF_A_SERVER
+        kind for kind in FAULTS if kind.__name__ not in SERVER_FAULTS
     )
 
     @classmethod
-    def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+    def world_of_day(
+        cls, random_generator: random.Random, lab: LabSection, setup: Setup
+    ) -> dict[str, Any]:
         """Sample the camera of a randomised test run; see `tetractl_emulator.sides`.
 
         The values are those of `noise_of_day`, with the section's latency added.
         """
         section = lab.camera
-        assert isinstance(section, Addressed), NEEDS
-        drawn = noise_of_day(chance, length_scale(lab, setup))
-        later_s = section.latency - LATENCY_S
-        return drawn | {"latency": max(0.0, round(drawn["latency"] + later_s, 4))}
+        assert isinstance(section, Addressed), NEEDS_ADDRESS
+        sampled = noise_of_day(random_generator, length_scale(lab, setup))
+        extra_latency_s = section.latency - SAMPLED_LATENCY_S
+        return sampled | {"latency": max(0.0, round(sampled["latency"] + extra_latency_s, 4))}
 
     def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
-        assert isinstance(section, Addressed), NEEDS
+        assert isinstance(section, Addressed), NEEDS_ADDRESS
         self.section = section
-        chance = random.Random(stage.options.seed)
-        noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
+        random_generator = random.Random(stage.options.seed)
+        noise = PoseNoise(settings.noise_mm, settings.noise_rad, random_generator)
         tracked = [
             TrackedBody(body, Asset(i, body.name), noise, stage.acting)
             for i, body in enumerate(bodies)
         ]
-        rate = settings.rate or section.sight.rate_hz or RATE_HZ
-        latency = section.latency if settings.latency is None else settings.latency
-        super().__init__(stage, tracked, rate, latency, View(UpAxis.Z))
+        rate_hz = settings.rate or section.sight.rate_hz or DEFAULT_RATE_HZ
+        latency_s = section.latency if settings.latency is None else settings.latency
+        super().__init__(stage, tracked, rate_hz, latency_s, View(UpAxis.Z))
         self.names = [body.name for body in bodies]
         self.join = stage.wires.ports
         self.frames = 0
@@ -137,7 +141,7 @@ class PoseStream(PoseCamera):
         """
         self.port.plug()
         self._loop = loop
-        loop.watch(self.port.fd, self._asked)
+        loop.watch(self.port.fd, self._note_client)
         self.begin()
         return {"camera": self.port.name}
 
@@ -152,8 +156,8 @@ class PoseStream(PoseCamera):
         self.port.unplug()
         return {"frames": self.frames}
 
-    def _asked(self) -> None:
-        """Report a client if a program has written to the port. What it wrote is ignored."""
+    def _note_client(self) -> None:
+        """Report a client if a program has written to the port. The bytes are ignored."""
         if self.port.read():
             self._stage.client(self.port.name)
 

@@ -32,10 +32,8 @@ from tetractl_emulator.fault_rows import (
 )
 from tetractl_emulator.faults import begin_by_switching, fault_kind
 
-AFTER_NS = SECOND
-"""Time for which an emulated lab continues after the process has ended [ns].
-
-Robots stop in it.
+CONTINUE_NS = SECOND
+"""Time for which an emulated lab continues after the process has ended, so that robots stop [ns].
 """
 SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
@@ -43,7 +41,8 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 class Process:
     """The process that drives the robots of an emulated lab, as a target of faults.
 
-    It is the process that has locked the actuator's port. If there is none, the methods do nothing.
+    It is the process that has locked the actuator's port. If no process has locked the port, the
+    methods do nothing.
 
     Args:
         lab: The emulated lab.
@@ -63,13 +62,13 @@ class Process:
         """
         self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
 
-    def stop(self, on: bool) -> None:
+    def stop(self, is_suspended: bool) -> None:
         """Suspend the process, as SIGSTOP or the computer's sleep would, or let it continue.
 
         Args:
-            on: Whether to suspend it.
+            is_suspended: True to suspend the process, False to let it continue.
         """
-        self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
+        self._act(lambda pid: os.kill(pid, signal.SIGSTOP if is_suspended else signal.SIGCONT))
 
     def fill_disk(self) -> None:
         """Make all further writes of the process to files fail.
@@ -96,16 +95,16 @@ class Process:
 
         The message is "" if the port could be opened.
         """
-        again = (self._lab.port, 57600, "the second run", self._clock, lambda *_: None, "")
-        second = self._ports(*again)
-        says = ""
+        port_arguments = (self._lab.port, 57600, "the second run", self._clock, lambda *_: None, "")
+        second_port = self._ports(*port_arguments)
+        message = ""
         try:
-            second.open()
+            second_port.open()
         except AbortError as error:
-            says = error.message
+            message = error.message
         else:
-            second.close()
-        self._lab.note("second", says=says)
+            second_port.close()
+        self._lab.note("second", says=message)
 
 
 class ThisProcess(Process):
@@ -116,7 +115,8 @@ class ThisProcess(Process):
         ports: Creates a port, to try to open the actuator's port a second time.
         clock: The virtual clock.
         supervision: The supervision of the trial, through which signals and the key are simulated.
-        outlive: Lets the emulated lab continue for a moment without the program, and closes it.
+        continue_and_close: Lets the emulated lab continue for a moment without the program, and
+            then closes the lab.
     """
 
     def __init__(
@@ -125,11 +125,11 @@ class ThisProcess(Process):
         ports: PortFactory,
         clock: Clock,
         supervision: LabSupervision,
-        outlive: Callable[[Any], None],
+        continue_and_close: Callable[[Any], None],
     ) -> None:
         super().__init__(lab, clock, ports)
         self._supervision = supervision
-        self._outlive = outlive
+        self._continue_and_close = continue_and_close
 
     def signal(self, name: str) -> None:
         """Handle a signal as the trial's signal handler would.
@@ -139,10 +139,10 @@ class ThisProcess(Process):
         if name != "KILL":
             self._supervision.signalled()
             return
-        self._outlive(self._lab)
+        self._continue_and_close(self._lab)
         os.kill(os.getpid(), signal.SIGKILL)
 
-    def stop(self, on: bool) -> None:
+    def stop(self, is_suspended: bool) -> None:
         """Do nothing: the clock stops this process while the fault acts."""
 
     def fill_disk(self) -> None:
@@ -157,8 +157,10 @@ class ThisProcess(Process):
         self._supervision.emergency.set()
 
 
-STANDS = f"stood still|late|{CELL_REASONS}|{LATE_REASONS}"  # cells seem to stand still meanwhile
-ASLEEP = f"{STANDS}|{MOVED_REASONS}"
+STANDSTILL_REASONS = (
+    f"stood still|late|{CELL_REASONS}|{LATE_REASONS}"  # cells seem to stand still meanwhile
+)
+SLEEP_REASONS = f"{STANDSTILL_REASONS}|{MOVED_REASONS}"
 PROCESS_FAULTS = (
     fault_kind(
         "signal",
@@ -179,8 +181,8 @@ PROCESS_FAULTS = (
         "stopped",
         "The process that drives the robots is suspended, or sleeps.",
         rows=[
-            FaultRow("suspended", ASLEEP, {"for": value_between(0.02, 5)}),
-            FaultRow("computer sleeps", ASLEEP, {"for": one_of(3.0, 30.0)}),
+            FaultRow("suspended", SLEEP_REASONS, {"for": value_between(0.02, 5)}),
+            FaultRow("computer sleeps", SLEEP_REASONS, {"for": one_of(3.0, 30.0)}),
         ],
         begin=begin_by_switching(lambda f, p: p.stop),
     ),
@@ -194,7 +196,14 @@ PROCESS_FAULTS = (
         "host_clock",
         "The computer's monotonic clock jumps by this time [s]. Works only in virtual time.",
         fields={"by": Positive},
-        rows=[FaultRow("host's clock jumps", STANDS, {"by": value_between(0.02, 6)}, at_once=True)],
+        rows=[
+            FaultRow(
+                "host's clock jumps",
+                STANDSTILL_REASONS,
+                {"by": value_between(0.02, 6)},
+                at_once=True,
+            )
+        ],
     ),
     fault_kind(
         "busy",

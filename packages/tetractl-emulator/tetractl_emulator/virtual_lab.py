@@ -1,7 +1,7 @@
 """Runs an emulated lab and the program that drives it in one process, on a shared virtual clock.
 
     clock = LabClock()
-    emulation = started(lab, setup, clock, options)    its devices are plugged in
+    emulation = start_emulated_lab(lab, setup, clock, options)
     ports = emulation.wires.ports                      for creating our camera and actuator
     clock.sleep_until(SECOND)                          a second passes, for both
 
@@ -22,7 +22,7 @@ from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.memory_wires import MemoryNetwork, MemorySocket
-from tetractl_emulator.process import AFTER_NS, ThisProcess
+from tetractl_emulator.process import CONTINUE_NS, ThisProcess
 from tetractl_emulator.script import NO_FAULTS, Script
 from tetractl_emulator.sides import EmulatedCamera, Options
 from tetractl_emulator.wires import Wires
@@ -33,12 +33,12 @@ class LabClock(VirtualClock):
 
     Each step of `step_ns` calls, in this order:
 
-    1. the emulation that `carry` has set: its events up to now, and `read_wires`, with which it
-       reads what our side has sent,
-    2. on our side, the functions `receivers`, which read sockets, and `steps`, such as those of the
-       inner loop,
-    3. the functions `watchers`, which only observe. They are also called after each action of our
-       side.
+    1. the emulation that `set_emulation` has set: its events up to now, and `read_wires`, with
+       which the emulation reads what our side has sent,
+    2. on our side, the functions in `receivers`, which read sockets, and in `steps`, such as the
+       steps of the inner loop,
+    3. the functions in `watchers`, which only observe. They are also called after each action of
+       our side.
 
     While a fault suspends our process, only the emulation continues.
 
@@ -60,13 +60,13 @@ class LabClock(VirtualClock):
         self.steps: list[Callable[[], None]] = []
         self.watchers: list[Callable[[], None]] = []
 
-    def carry(
+    def set_emulation(
         self,
         timeline: Timeline,
         read_wires: Callable[[], None] | None = None,
         acting: ActingFaults | None = None,
     ) -> None:
-        """Set the emulation that runs on this clock, in place of an earlier one.
+        """Set the emulation that runs on this clock. It replaces an earlier emulation.
 
         Args:
             timeline: The events of the emulation.
@@ -82,7 +82,7 @@ class LabClock(VirtualClock):
         return self._now + round(self.acting.total_by("host_clock") * SECOND)
 
     @property
-    def stopped(self) -> bool:
+    def is_suspended(self) -> bool:
         """Whether a fault has suspended our process at this moment."""
         return bool(self.acting.of_kind("stopped"))
 
@@ -94,11 +94,11 @@ class LabClock(VirtualClock):
     def sleep_until(self, when: int) -> None:
         """Let time pass until `when` [ns] on the host's clock.
 
-        It returns later if a fault suspends our process at that time: when the process is resumed.
+        If a fault suspends our process at that time, the method returns when the process resumes.
         """
-        while self.stopped or self.now() < when:
-            passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
-            self._step_to(self._now + passed)
+        while self.is_suspended or self.now() < when:
+            step_ns = self._step_ns if self.is_suspended else min(self._step_ns, when - self.now())
+            self._step_to(self._now + step_ns)
 
     def _step_to(self, true_ns: int) -> None:
         """Advance to a true time [ns], and call the functions of one step.
@@ -108,17 +108,17 @@ class LabClock(VirtualClock):
         self._now = true_ns
         if self._timeline is not None:
             self._timeline.run_to(true_ns)
-        if self.stopped:
+        if self.is_suspended:
             return
         self._read_wires()
-        for act in (*self.receivers, *self.steps):
-            act()
+        for run_step in (*self.receivers, *self.steps):
+            run_step()
         self.watch()
 
     def watch(self) -> None:
-        """Call the watchers now, because effects of an action may end within the same step."""
-        for look in self.watchers:
-            look()
+        """Call the watchers now, because the effects of an action may end within this step."""
+        for call_watcher in self.watchers:
+            call_watcher()
 
 
 def _read_nothing() -> None:
@@ -126,7 +126,7 @@ def _read_nothing() -> None:
 
 
 class LiveClock(LabClock):
-    """A `LabClock` in real time: a thread makes a step every millisecond."""
+    """A `LabClock` in real time: a thread performs a step every millisecond."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -141,24 +141,24 @@ class LiveClock(LabClock):
         self._host.sleep_until(when)
 
     def start(self) -> Callable[[], None]:
-        """Start the thread that makes the steps, and return a function that stops it.
+        """Start the thread that performs the steps, and return a function that stops the thread.
 
-        That function waits for the thread to end, at most two seconds.
+        The returned function waits up to two seconds for the thread to end.
         """
-        ended = threading.Event()
+        must_stop = threading.Event()
 
-        def run() -> None:
-            while not ended.wait(self._step_ns / SECOND):
+        def run_steps() -> None:
+            while not must_stop.wait(self._step_ns / SECOND):
                 self._step_to(self._host.now())
 
-        thread = threading.Thread(target=run, name="emulated half", daemon=True)
+        thread = threading.Thread(target=run_steps, name="emulated half", daemon=True)
         thread.start()
 
-        def end() -> None:
-            ended.set()
+        def stop_thread() -> None:
+            must_stop.set()
             thread.join(2.0)
 
-        return end
+        return stop_thread
 
 
 class VirtualLoop(Loop):
@@ -174,22 +174,22 @@ class VirtualLoop(Loop):
 
     def poll(self) -> None:
         """Read the data that has arrived on the emulation's connections."""
-        for act in tuple(self._readers.values()):
-            act()
+        for read in tuple(self._readers.values()):
+            read()
 
 
-def started(
+def start_emulated_lab(
     lab: LabSection,
     setup: Setup,
     clock: LabClock,
     options: Options,
     script: Script = NO_FAULTS,
     supervision: LabSupervision | None = None,
-    blind: EmulatedCamera | None = None,
+    stand_in_camera: EmulatedCamera | None = None,
 ) -> EmulatedLab:
     """Create an emulated lab, open it, and run it on a clock.
 
-    The connections are in memory. Only a record has to be closed in the end.
+    The connections are in memory. The lab only has to be closed if it writes a record.
 
     Args:
         lab: The lab's section of the spec.
@@ -199,8 +199,8 @@ def started(
         script: How the lab differs from the spec, and its faults.
         supervision: The supervision of the trial, on which faults such as signals act. None if
             there is no trial.
-        blind: The camera to use instead of an emulated one, if the real camera is used. None
-            otherwise.
+        stand_in_camera: Stands in for the emulated camera if the camera is real. None to emulate
+            the camera.
     """
     network = MemoryNetwork()
 
@@ -210,36 +210,36 @@ def started(
         script,
         options,
         make_loop=VirtualLoop,
-        wires=memory_wires(network, clock),
+        wires=create_memory_wires(network, clock),
         process_of=partial(
             ThisProcess,
             clock=clock,
             ports=network.serial,
             supervision=supervision or LabSupervision(),
-            outlive=outlive,
+            continue_and_close=continue_and_close,
         ),
-        blind=blind,
+        stand_in_camera=stand_in_camera,
     )
     emulation.open()
-    clock.carry(emulation.timeline, _loop_of(emulation).poll, emulation.injector.acting)
+    clock.set_emulation(emulation.timeline, _loop_of(emulation).poll, emulation.injector.acting)
     return emulation
 
 
-def outlive(emulation: EmulatedLab) -> None:
-    """Let an emulated lab continue for AFTER_NS after our side has ended, then close it."""
+def continue_and_close(emulation: EmulatedLab) -> None:
+    """Let an emulated lab continue for CONTINUE_NS after our side has ended, then close it."""
     _loop_of(emulation).poll()
-    emulation.timeline.run_to(emulation.timeline.now_ns + AFTER_NS)
+    emulation.timeline.run_to(emulation.timeline.now_ns + CONTINUE_NS)
     emulation.close()
 
 
 def _loop_of(emulation: EmulatedLab) -> VirtualLoop:
     """Return the emulation's loop, which must be a `VirtualLoop`."""
-    assert isinstance(emulation.loop, VirtualLoop), "`started` has made it"
+    assert isinstance(emulation.loop, VirtualLoop), "`start_emulated_lab` creates it"
     return emulation.loop
 
 
-def memory_wires(network: MemoryNetwork, clock: LabClock) -> Wires:
-    """Create the functions that make connections of a network in memory.
+def create_memory_wires(network: MemoryNetwork, clock: LabClock) -> Wires:
+    """Create the functions that connect devices and programs through a network in memory.
 
     Args:
         network: The network.

@@ -148,7 +148,12 @@ class EmulatedPlantSection(RigSection):
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
         from tetractl_emulator.script import NO_FAULTS, parse_script
         from tetractl_emulator.sides import Options
-        from tetractl_emulator.virtual_lab import LabClock, LiveClock, outlive, started
+        from tetractl_emulator.virtual_lab import (
+            LabClock,
+            LiveClock,
+            continue_and_close,
+            start_emulated_lab,
+        )
 
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
@@ -176,9 +181,11 @@ class EmulatedPlantSection(RigSection):
             raise AbortError(
                 f"{names}: one of these devices cannot be real while the other is emulated"
             )
-        blind = Blind() if self.real == "camera" else None
+        stand_in_camera = Blind() if self.real == "camera" else None
         wake = threading.Event()
-        emulation = started(self, setup, clock, options, script, watched, blind)
+        emulation = start_emulated_lab(
+            self, setup, clock, options, script, watched, stand_in_camera
+        )
         join = emulation.camera.join
         ports = emulation.wires.ports
         actuator = resolve_name(self.actuator.device)(self.actuator, setup, clock, ports)
@@ -207,9 +214,9 @@ class EmulatedPlantSection(RigSection):
             clock.steps.append(rig.loop.step_if_due)
         if record is not None:
             clock.watchers.append(
-                lambda: emulation.ruled(rig.loop.guard.state, rig.loop.guard.reason)
+                lambda: emulation.note_guard_state(rig.loop.guard.state, rig.loop.guard.reason)
             )
-            rig.call_after_close(lambda: outlive(emulation))
+            rig.call_after_close(lambda: continue_and_close(emulation))
         return rig
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> LabPlant:

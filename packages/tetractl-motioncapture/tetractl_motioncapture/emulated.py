@@ -56,7 +56,7 @@ class EmulatedMotionCapture(PoseStream):
         robots = [entry(section.robots, body.name) for body in bodies]
         self._names = [str(robot.body) for robot in robots]
         for body, robot in zip(self.tracked, robots, strict=True):
-            body.asset.offset = robot.heading_offset
+            body.asset.heading_offset = robot.heading_offset
 
     def packed(self, shot: Shot) -> bytes:
         """Encode a frame as a line of JSON. Untracked bodies are left out."""

@@ -67,7 +67,7 @@ class Ghost:
             first.renumber(second.index)
             second.renumber(index)
         motive = lab.emulation.camera
-        motive._expose = self._exposed(motive._expose)
+        motive._expose_bodies = self._exposed(motive._expose_bodies)
         lab.clock.steps.append(self._watch)
 
     def _exposed(self, expose):
@@ -78,8 +78,8 @@ class Ghost:
             ghost_poses = self._show(true_poses)
             bodies = self.lab.emulation.camera.tracked
             for body, true, ghost in zip(bodies, true_poses, ghost_poses, strict=True):
-                body.shift = complex(ghost.x - true.x, ghost.y - true.y)
-                body.turned = ghost.heading - true.heading
+                body.shift_mm = complex(ghost.x - true.x, ghost.y - true.y)
+                body.turned_rad = ghost.heading - true.heading
             if self.kind == "frozen":
                 acting = self.lab.emulation.camera.acting
                 for name in (bodies[i].robot.name for i in self._shown):

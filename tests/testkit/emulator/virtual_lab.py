@@ -19,7 +19,7 @@ import pytest
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NO_FAULTS
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_lab import LabClock, LiveClock, started
+from tetractl_emulator.virtual_lab import LabClock, LiveClock, start_emulated_lab
 from tetractl_microscope.cells.section import CellsSection
 
 from testkit.cli import process, tetractl
@@ -38,7 +38,7 @@ from tetractl.spec.plants import lab_of, on_plant
 
 DISH = EXAMPLES / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0
-AFTER_NS = SECOND  # a lab is watched for that long after a play
+CONTINUE_NS = SECOND  # a lab is watched for that long after a play
 
 
 class PatientClock(LabClock):
@@ -170,7 +170,9 @@ def virtual_lab(folder, *sets, spec=SPEC, script=NO_FAULTS, seed=1, ahead_s=0.0,
     chosen = Options(
         seed=seed, trials_choose_robots=loaded.experiment.open, record=record, **options
     )
-    emulation = started(lab, loaded.experiment.setup, clock, chosen, script_of(script, lab))
+    emulation = start_emulated_lab(
+        lab, loaded.experiment.setup, clock, chosen, script_of(script, lab)
+    )
     with contextlib.closing(emulation), joined(emulation, clock):
         clock.sleep_until(round(ahead_s * SECOND))
         yield VirtualLab(emulation, clock, on_plant(loaded, "lab"), sets, record)
@@ -211,7 +213,7 @@ def play(path, script, folder, *, replace_after=None, sets=()):
     with virtual_lab(folder, *sets, **how) as lab:
         words = ["run", THREE, "--plant", "lab", "--yes", "--quiet", "--out", logs]
         done = tetractl(folder, *words, *flags(lab.settings))
-        lab.clock.sleep_until(lab.clock.now() + AFTER_NS)
+        lab.clock.sleep_until(lab.clock.now() + CONTINUE_NS)
         said = done.stdout + done.stderr
         events = lab.events()
     link = folder / "radio"

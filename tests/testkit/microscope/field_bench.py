@@ -37,7 +37,7 @@ class Bench:
         self.clock = PatientClock()
         self.told = []
         timeline = Timeline(lambda until: self.driver.advance(until))
-        self.clock.carry(timeline)
+        self.clock.set_emulation(timeline)
         self.network = MemoryNetwork()
         self.port = HeardPort(self.network, "coils", lambda: self.driver.read_port())
         self.driver = CurrentDriver(

@@ -9,7 +9,7 @@ from testkit.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import CARRIED_NS, EmulatedLab
 from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_lab import LabClock, VirtualLoop, memory_wires
+from tetractl_emulator.virtual_lab import LabClock, VirtualLoop, create_memory_wires
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import SpecError, TetractlError
@@ -46,7 +46,7 @@ class Bench:
             Options(address=None, record=self.record, **options),
             report=lambda event, facts: self.reported.append((event, facts)),
             make_loop=VirtualLoop,
-            wires=memory_wires(MemoryNetwork(), clock),
+            wires=create_memory_wires(MemoryNetwork(), clock),
             process_of=process_of,
         )
         self._sequence = 0
@@ -322,7 +322,7 @@ def test_robots_stay_where_they_are_unless_they_are_to_be_carried():
 def test_the_state_of_the_guard_is_recorded_when_it_or_its_reason_changes(tmp_path):
     bench = Bench(tmp_path).opened()
     for state, reason in (("wait", ""), ("wait", ""), ("run", ""), ("abort", "a"), ("abort", "b")):
-        bench.lab.ruled(state, reason)
+        bench.lab.note_guard_state(state, reason)
     rows = [(event["state"], event["reason"]) for event in bench.events("guard")]
     assert rows == [("wait", ""), ("run", ""), ("abort", "a"), ("abort", "b")]
 

@@ -7,7 +7,7 @@ import pytest
 from testkit.hand_clock import HandClock
 from testkit.labs import FakeActuator, fake_lab
 from testkit.trials import experiment
-from tetractl_emulator.half_real import KEPT_NS, Blind, MovedCamera, TwinActuator
+from tetractl_emulator.half_real import HISTORY_NS, Blind, MovedCamera, TwinActuator
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import AbortError
@@ -164,7 +164,7 @@ def test_an_older_frame_than_is_remembered_is_displaced_as_of_the_oldest_memory(
     lab.shown(GREEN, BLUE)
     lab.camera.look()
     lab.drives(410.0, 300.0, 0.5)  # at 10 ms
-    lab.clock.advance_ns(KEPT_NS)
+    lab.clock.advance_ns(HISTORY_NS)
     lab.bodies[0].place(420.0, 300.0, 0.5)
     lab.camera.look()
     green, _ = lab.shown(GREEN, BLUE, sampled_ns=5 * MILLISECOND)

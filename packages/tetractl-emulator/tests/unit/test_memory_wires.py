@@ -2,7 +2,7 @@
 
 import pytest
 from testkit.hand_clock import HandClock
-from tetractl_emulator.memory_wires import FIRST_FREE, MemoryNetwork
+from tetractl_emulator.memory_wires import FIRST_FREE_PORT, MemoryNetwork
 
 from tetractl.core.errors import AbortError
 
@@ -81,7 +81,7 @@ def test_a_socket_that_is_bound_to_all_hosts_hears_its_port_at_each():
 def test_free_ports_are_not_given_twice_and_a_named_port_is_kept():
     network = MemoryNetwork()
     ports = [network.bound_socket("127.0.0.1", 0).getsockname()[1] for _ in range(3)]
-    assert ports == [FIRST_FREE, FIRST_FREE + 1, FIRST_FREE + 2]
+    assert ports == [FIRST_FREE_PORT, FIRST_FREE_PORT + 1, FIRST_FREE_PORT + 2]
     assert network.bound_socket(*HERE).getsockname() == HERE
     assert network.bound_socket("127.0.0.1", 50_000).fileno() == 50_000
     assert network.bound_socket("127.0.0.1", 0).getsockname()[1] == 50_001

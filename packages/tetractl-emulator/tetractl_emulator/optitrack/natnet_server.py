@@ -7,8 +7,10 @@ from struct import Struct
 from tetractl.lab.cameras.optitrack import natnet, wire
 from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, layout_of
 
-BITSTREAM = Struct("<?4B")  # from 4.x clients: subscribed only, the requested version
-GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
+REQUESTED_VERSION = Struct("<?4B")
+"""Layout of a request of a 4.x client: a flag (subscribed data only) and the wanted version."""
+EXTRA_BODY_BYTES = bytes(24)
+"""Additional bytes at the end of a rigid body's description in protocols above 4.3."""
 
 
 def parse_request(received: bytes) -> natnet.ClientMessage:
@@ -24,7 +26,7 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
         case natnet.MessageKind.CONNECT if len(payload) <= wire.SENDER.size:
             return natnet.Connect(wire.read_sender(payload)[1])
         case natnet.MessageKind.CONNECT:
-            _, *version = wire.unpack_fields(BITSTREAM, payload[wire.SENDER.size :])
+            _, *version = wire.unpack_fields(REQUESTED_VERSION, payload[wire.SENDER.size :])
             return natnet.Connect(natnet.Version(*version[:2]), pinned=True)
         case natnet.MessageKind.REQUEST:
             return natnet.NatNetRequest(wire.read_text(payload))
@@ -49,9 +51,10 @@ def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.
         case natnet.NatNetFrame():
             return wire.pack_datagram(natnet.MessageKind.FRAME, pack_frame(message, version))
         case natnet.ModelDef():
-            grown = GROWN if version > natnet.NEWEST else b""
+            extra_bytes = EXTRA_BODY_BYTES if version > natnet.NEWEST else b""
             return wire.pack_datagram(
-                natnet.MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown)
+                natnet.MessageKind.MODELDEF,
+                pack_modeldef(message, version, extra_bytes=extra_bytes),
             )
         case natnet.ServerInfo(name, own, clock_hz, port):
             info = wire.SERVER_INFO.pack(clock_hz, port) if own >= (3, 0) else b""
@@ -122,25 +125,25 @@ def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
 def pack_modeldef(
     model: natnet.ModelDef,
     version: natnet.Version,
-    others: Sequence[tuple[int, bytes]] = (),
+    other_sets: Sequence[tuple[int, bytes]] = (),
     markers: int = 0,
-    grown: bytes = b"",
+    extra_bytes: bytes = b"",
 ) -> bytes:
     """Encode the payload of a MODELDEF message: other data sets, and then every rigid body.
 
     Args:
         model: The rigid bodies.
         version: Version of the protocol.
-        others: Other data sets, each with its type and its bytes.
+        other_sets: Other data sets, each with its type and its bytes.
         markers: Number of markers of each rigid body.
-        grown: Bytes appended to each description, as in a later version of the protocol.
+        extra_bytes: Bytes appended to each description, as in a later version of the protocol.
     """
-    described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
-    sets = [*others, *((RIGID_BODY, data) for data in described)]
+    described = (_packed_body(*body, version, markers) + extra_bytes for body in model.bodies)
+    sets = [*other_sets, *((RIGID_BODY, data) for data in described)]
     parts = [wire.pack_fields("i", len(sets))]
-    sized = layout_of(version).sized
+    is_sized = layout_of(version).sized
     for kind, data in sets:
-        head = wire.pack_fields("ii", kind, len(data)) if sized else wire.pack_fields("i", kind)
+        head = wire.pack_fields("ii", kind, len(data)) if is_sized else wire.pack_fields("i", kind)
         parts += [head, data]
     return b"".join(parts)
 
@@ -158,19 +161,19 @@ def _packed_body(name: str, number: int, version: natnet.Version, markers: int) 
     return b"".join(parts)
 
 
-def mangle(datagram: bytes, chance: Random) -> bytes:
+def mangle(datagram: bytes, random_generator: Random) -> bytes:
     """Return a copy of a datagram that is damaged in one of five random ways.
 
     It is truncated, extended, replaced by noise, or one of its fields is changed.
     """
-    match chance.randrange(5):
+    match random_generator.randrange(5):
         case 0:
-            return datagram[: chance.randrange(len(datagram))]
+            return datagram[: random_generator.randrange(len(datagram))]
         case 1:
-            return datagram + bytes(chance.randrange(1, 20))
+            return datagram + bytes(random_generator.randrange(1, 20))
         case 2:
             return datagram[:2] + (len(datagram) + 7).to_bytes(2, "little") + datagram[4:]
         case 3:  # an impossible number of bodies
             return datagram[:8] + b"\xff\xff\xff\x7f" + datagram[12:]
         case _:
-            return chance.randbytes(chance.randrange(1, 1400))
+            return random_generator.randbytes(random_generator.randrange(1, 1400))

@@ -100,7 +100,7 @@ SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
 
 
-def _run_clock(fault: Any, device: Any) -> Undo:
+def _begin_clock_rate(fault: Any, device: Any) -> Undo:
     """Begin the fault `clock_rate`: let the server's clock run faster or slower from now on.
 
     It returns a function that ends this, so the clock then jumps back.
@@ -113,7 +113,7 @@ def _run_clock(fault: Any, device: Any) -> Undo:
     return add_until_undone(device.clock_errors, gained_ns)
 
 
-def _creeping(name: str, **fields: Any) -> FaultRow:
+def _creeping_row(name: str, **fields: Any) -> FaultRow:
     """Create a variant of a fault that creeps. In 30 % of the test runs it begins at the start."""
     return FaultRow(name, MOVED_REASONS, fields, start_fraction=0.3)
 
@@ -224,9 +224,9 @@ FAULTS = (
             FaultRow("origin jumps", MOVED_REASONS, {"by": scaled_vector(3, 300)}),
             FaultRow("scale jumps", MOVED_REASONS, {"scale": factor_near_one(2e-3, 0.2)}),
             FaultRow("axes jump", MOVED_REASONS, {"turn": signed_value(2e-3, 1)}),
-            _creeping("origin creeps", by=scaled_vector(2, 300, FRAME_S), creeps=True),
-            _creeping("scale creeps", scale=factor_near_one(2e-3, 0.2, FRAME_S), creeps=True),
-            _creeping("axes creep", turn=signed_value(0.02, 2, FRAME_S), creeps=True),
+            _creeping_row("origin creeps", by=scaled_vector(2, 300, FRAME_S), creeps=True),
+            _creeping_row("scale creeps", scale=factor_near_one(2e-3, 0.2, FRAME_S), creeps=True),
+            _creeping_row("axes creep", turn=signed_value(0.02, 2, FRAME_S), creeps=True),
         ],
     ),
     fault_kind(
@@ -267,10 +267,10 @@ FAULTS = (
         EXPOSED,
         fields={"robot": Name, "by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
         rows=[
-            _creeping("ghost drives", by=along_line(20, 300, 0.0), axes="robot"),
-            _creeping("ghost slides", by=along_line(20, 300, math.pi / 2), axes="robot"),
-            _creeping("ghost drifts", by=scaled_vector(20, 300, FRAME_S)),
-            _creeping("ghost turns", by=[0, 0], turn=signed_value(0.02, 4, FRAME_S)),
+            _creeping_row("ghost drives", by=along_line(20, 300, 0.0), axes="robot"),
+            _creeping_row("ghost slides", by=along_line(20, 300, math.pi / 2), axes="robot"),
+            _creeping_row("ghost drifts", by=scaled_vector(20, 300, FRAME_S)),
+            _creeping_row("ghost turns", by=[0, 0], turn=signed_value(0.02, 4, FRAME_S)),
         ],
     ),
     fault_kind(
@@ -352,7 +352,7 @@ FAULTS = (
         rows=[
             FaultRow("camera's clock drifts", LATE_REASONS, {"rate": factor_near_one(2e-4, 0.5)})
         ],
-        begin=_run_clock,
+        begin=_begin_clock_rate,
     ),
 )
 """The faults of these cameras, as a script names them."""

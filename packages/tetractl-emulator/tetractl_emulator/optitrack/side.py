@@ -37,7 +37,7 @@ from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBo
 from tetractl_emulator.sides import Body, Facts, Options, Stage
 
 Address = tuple[str, int]
-RECORDED = ("frames", "refused", "timed_out")
+RECORDED_COUNTS = ("frames", "refused", "timed_out")
 """Names of the counts in the record of an emulation.
 
 They count frames sent, requests that could not be decoded, and silent clients that were dropped.
@@ -50,11 +50,11 @@ class Client:
 
     Attributes:
         version: Version of the protocol in which the server sends to this client.
-        heard_ns: When the server last received a message from it [ns].
+        received_ns: When the server last received a message from the client [ns].
     """
 
     version: natnet.Version
-    heard_ns: int
+    received_ns: int
 
 
 class ServerPorts:
@@ -93,14 +93,14 @@ class ServerPorts:
             multicast: Whether frames are sent by multicast, on the interface of `address`.
         """
         self.command = bound(self.address, self.command_port)
-        self.command_port = _port(self.command)
+        self.command_port = _port_of(self.command)
         self.data = bound(sender, 0 if multicast else self.data_port)
         if multicast:
             interface = socket.inet_aton(self.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         if not (multicast and self.data_port):
             # in multicast too, since no other server uses this port
-            self.data_port = _port(self.data)
+            self.data_port = _port_of(self.data)
 
     def close(self) -> None:
         """Close both sockets if they are open. This method can be called repeatedly."""
@@ -120,7 +120,7 @@ class EmulatedOptitrack(PoseCamera):
     Attributes:
         names: Name and id of each rigid body that the server can describe to its clients.
         clients: The unicast clients that receive frames, by address.
-        greeted: Addresses of all clients that have ever connected.
+        known_clients: Addresses of all clients that have ever connected.
         counts: Number of frames sent ("frames"), of requests that could not be decoded ("refused"),
             of silent clients that were dropped ("timed_out"), and of requests for the model
             definitions ("models asked").
@@ -144,7 +144,9 @@ class EmulatedOptitrack(PoseCamera):
         section = stage.lab.camera
         options = stage.options
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
-        tracked = _tracked(section, settings, bodies, random.Random(options.seed), stage.acting)
+        tracked = _create_bodies(
+            section, settings, bodies, random.Random(options.seed), stage.acting
+        )
         self.names = tuple((body.asset.name, body.asset.number) for body in tracked)
         x, y = section.origin
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
@@ -157,7 +159,7 @@ class EmulatedOptitrack(PoseCamera):
         self.ports = ServerPorts(section, options)
         self.clock_errors: list[Callable[[int], int]] = []
         self.clients: dict[Address, Client] = {}
-        self.greeted: set[Address] = set()
+        self.known_clients: set[Address] = set()
         self.counts = Counter[str]()
 
     @property
@@ -176,7 +178,7 @@ class EmulatedOptitrack(PoseCamera):
         sender = self.settings.frames_from or ports.address
         ports.open(self._stage.wires.bound, sender, self.multicast)
         self.begin()
-        loop.watch(ports.command.fileno(), lambda: self._readable(loop.catch_up))
+        loop.watch(ports.command.fileno(), lambda: self._read_commands(loop.catch_up))
         transport = self.section.transport
         return {
             "camera": f"{ports.address}:{ports.command_port} ({transport})",
@@ -190,10 +192,10 @@ class EmulatedOptitrack(PoseCamera):
         """Close the UDP sockets.
 
         Returns:
-            The counts that are named in RECORDED, by name.
+            The counts that are named in RECORDED_COUNTS, by name.
         """
         self.ports.close()
-        return {name: self.counts[name] for name in RECORDED}
+        return {name: self.counts[name] for name in RECORDED_COUNTS}
 
     def ticks(self, when_ns: int) -> int:
         """Convert a time on the host's clock [ns] to a time on the server's clock [ticks].
@@ -204,10 +206,11 @@ class EmulatedOptitrack(PoseCamera):
         gained_ns += sum(round(jump.by * SECOND) for jump in self.acting.of_kind("clock_jump"))
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
-    def _readable(self, catch_up: Callable[[], None]) -> None:
-        """Answer the waiting messages at the command port; call `catch_up` before each answer.
+    def _read_commands(self, catch_up: Callable[[], None]) -> None:
+        """Answer the messages that wait at the command port.
 
-        `catch_up` advances the emulation's timeline to the present.
+        Args:
+            catch_up: Advances the emulation's timeline to the present. Called before each answer.
         """
         for _ in range(100):
             try:
@@ -224,24 +227,24 @@ class EmulatedOptitrack(PoseCamera):
             except WireError:
                 self.counts["refused"] += 1
                 continue
-            answer = self._answer(message, sender, self.timeline.now_ns)
+            answer = self._create_answer(message, sender, self.timeline.now_ns)
             if answer is not None:
                 client = self.clients.get(sender)
                 version = client.version if client else self.own_version
                 self._send(self.ports.command, pack_answer(answer, version), sender)
 
-    def _answer(
+    def _create_answer(
         self, message: natnet.ClientMessage, sender: Address, now_ns: int
     ) -> natnet.ServerMessage | None:
-        """Return the answer to a message. None if the server sends no answer.
+        """Create the answer to a client's message. The result is None if there is no answer.
 
-        A disconnect ends the client's registration, and any other message renews it.
+        A disconnect ends the client's registration. Any other message renews the registration.
         """
         if sender in self.clients:
-            self.clients[sender].heard_ns = now_ns
+            self.clients[sender].received_ns = now_ns
         match message:
             case natnet.Connect():
-                self._admit(message, sender, now_ns)
+                self._register_client(message, sender, now_ns)
                 name = f"Motive ({EMULATED_NAME})"
                 return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.ports.data_port)
             case natnet.EchoRequest(client):
@@ -259,22 +262,22 @@ class EmulatedOptitrack(PoseCamera):
                 self.clients.pop(sender, None)
         return None
 
-    def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
-        """Register a client. In multicast, only its first contact is recorded.
+    def _register_client(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
+        """Register a client. In multicast, only the client's first contact is recorded.
 
-        With NatNet 4.0 or later, a unicast client may choose a version that is not newer than the
-        server's.
+        With NatNet 4.0 or later, a unicast client can choose a version that is not newer than the
+        server's version.
         """
-        if sender not in self.greeted:
-            self.greeted.add(sender)
+        if sender not in self.known_clients:
+            self.known_clients.add(sender)
             self._stage.client(f"{sender[0]}:{sender[1]}")
         if self.multicast:
             return
         version = message.version
         own_version = self.own_version
-        chosen = message.pinned and not self.settings.keeps_version
-        chosen = chosen and (4, 0) <= own_version >= version and version.known
-        self.clients[sender] = Client(version if chosen else own_version, now_ns)
+        is_version_chosen = message.pinned and not self.settings.keeps_version
+        is_version_chosen = is_version_chosen and (4, 0) <= own_version >= version and version.known
+        self.clients[sender] = Client(version if is_version_chosen else own_version, now_ns)
 
     def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
         """Yield each address to which frames are sent, with the version of the protocol to use.
@@ -284,7 +287,7 @@ class EmulatedOptitrack(PoseCamera):
         if self.multicast:
             yield (self.section.group, self.ports.data_port), self.own_version
         for address, client in list(self.clients.items()):
-            if now_ns - client.heard_ns > 5 * SECOND:
+            if now_ns - client.received_ns > 5 * SECOND:
                 del self.clients[address]
                 self.counts["timed_out"] += 1
             else:
@@ -301,21 +304,21 @@ class EmulatedOptitrack(PoseCamera):
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
         """Send a frame to every receiver. Faults can change its version or damage the datagram.
 
-        It is counted as sent even if there is no receiver.
+        The frame counts as sent even if there is no receiver.
         """
-        damaged = self.acting.largest_share("bad_datagrams")
+        damaged_share = self.acting.largest_share("bad_datagrams")
         wrong_version = self.acting.newest("other_version")
-        packed: dict[natnet.Version, bytes] = {}
+        datagram_by_version: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now_ns):
-            if version not in packed:
-                sent_as = (
+            if version not in datagram_by_version:
+                sent_version = (
                     version if wrong_version is None else natnet.Version.of(wrong_version.version)
                 )
-                packed[version] = pack_answer(frame, sent_as)
-            message = packed[version]
-            if damaged and self._random.random() < damaged:
-                message = mangle(message, self._random)
-            self._send(self.ports.data, message, address)
+                datagram_by_version[version] = pack_answer(frame, sent_version)
+            datagram = datagram_by_version[version]
+            if damaged_share and self._random.random() < damaged_share:
+                datagram = mangle(datagram, self._random)
+            self._send(self.ports.data, datagram, address)
         self.counts["frames"] += 1
 
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
@@ -324,31 +327,31 @@ class EmulatedOptitrack(PoseCamera):
             sender.sendto(data, to)
 
 
-def _port(endpoint: Any) -> int:
+def _port_of(endpoint: Any) -> int:
     """Return the port number of a bound socket."""
     return endpoint.getsockname()[1]
 
 
-def _tracked(
+def _create_bodies(
     section: OptitrackSection,
     settings: OptitrackSettings,
     bodies: Sequence[Body],
-    chance: random.Random,
+    random_generator: random.Random,
     acting: ActingFaults,
 ) -> list[TrackedBody]:
     """Create the rigid body of each robot, with its name and id from the spec or the script."""
-    noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
-    truths = {robot.name: robot for robot in settings.robots}
-    taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
-    free = (number for number in range(1, 1000) if number not in taken)
+    noise = PoseNoise(settings.noise_mm, settings.noise_rad, random_generator)
+    override_by_name = {robot.name: robot for robot in settings.robots}
+    taken_ids = {robot.body for robot in section.robots if isinstance(robot.body, int)}
+    free_ids = (number for number in range(1, 1000) if number not in taken_ids)
     tracked: list[TrackedBody] = []
     for body in bodies:
         robot = entry(section.robots, body.name)
-        number = robot.body if isinstance(robot.body, int) else next(free)
-        truth = truths.get(body.name, TrueBody(name=body.name))
-        named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
-        offset = truth.heading_offset
-        offset = robot.heading_offset if offset is None else offset
-        asset = Asset(number, named, offset, truth.streamed)
+        number = robot.body if isinstance(robot.body, int) else next(free_ids)
+        override = override_by_name.get(body.name, TrueBody(name=body.name))
+        body_name = override.body or (robot.body if isinstance(robot.body, str) else robot.name)
+        heading_offset = override.heading_offset
+        heading_offset = robot.heading_offset if heading_offset is None else heading_offset
+        asset = Asset(number, body_name, heading_offset, override.streamed)
         tracked.append(TrackedBody(body, asset, noise, acting))
     return tracked

@@ -35,9 +35,9 @@ If it uses none, it counts as hanging. On a busy machine, test runs take long bu
 hanging.
 """
 HUNG = -100
-"""Value in place of the exit code of a test run that hung; no signal has this number."""
-KEPT = 20_000
-"""Number of memory blocks that a run may leave in its process, if it has loaded no module."""
+"""Exit code that stands for a test run that hung. No signal has this number."""
+KEPT_BLOCKS_MAX = 20_000
+"""Maximum number of memory blocks that a run may leave in its process if it loads no module."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class DayFolder:
         """Folder of the log of the run."""
 
 
-def _text(file: Path) -> str:
+def _read_if_written(file: Path) -> str:
     """Return the text of a file, or "" if the process ended before it wrote the file."""
     return file.read_text() if file.exists() else ""
 
@@ -106,33 +106,33 @@ def run_day(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day
     """
     files = DayFolder(folder)
     files.script.write_text(dump(plan.script()))
-    words = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
-    words += ["--seed", str(plan.seed), "--out", str(files.logs)]
+    arguments = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
+    arguments += ["--seed", str(plan.seed), "--out", str(files.logs)]
     plant_sets = f"plant.faults={files.script.resolve()}", f"plant.record={folder}"
-    words += [word for setting in (*sets, *plant_sets) for word in ("--set", setting)]
+    arguments += [argument for setting in (*sets, *plant_sets) for argument in ("--set", setting)]
     read_end, write_end = os.pipe()
     pid = os.fork()
     if not pid:
-        _run_and_exit(words, files)
+        _run_and_exit(arguments, files)
     os.close(write_end)
     exit_code, seconds = wait_for_child(pid, read_end)
     os.close(read_end)
-    for name in _text(files.modules).split():
+    for name in _read_if_written(files.modules).split():
         with suppress(ImportError):
             importlib.import_module(name)  # so that the next days need not
     logs = sorted(files.logs.glob("*.mcap*"))
     return DayOutcome(
         plan=plan,
-        events=[json.loads(line) for line in _text(files.truth).splitlines()],
+        events=[json.loads(line) for line in _read_if_written(files.truth).splitlines()],
         exit_code=exit_code,
-        output=_text(files.output),
+        output=_read_if_written(files.output),
         log=logs[0] if logs else None,
-        left_behind=_text(files.left),
+        left_behind=_read_if_written(files.left),
         seconds=seconds,
     )
 
 
-def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
+def _run_and_exit(arguments: list[str], files: DayFolder) -> NoReturn:
     """Run a command in this forked process, write its results to files, and exit.
 
     The exit code is the command's, or 1 if an exception ends it.
@@ -141,19 +141,19 @@ def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
     try:
         _limit_processor_time()
         _redirect(files.output)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.default_int_handler)
+        for signal_number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(signal_number, signal.default_int_handler)
         LISTENER.start()  # as each process does, so that a day leaves no more behind
         census = Census()
-        sys.argv = ["tetractl", *words]
+        sys.argv = ["tetractl", *arguments]
         code = int(run_app())
         files.left.write_text("; ".join(census.left_behind()))
         files.modules.write_text("\n".join(census.new_modules()))
         sys.stdout.flush()
         sys.stderr.flush()
     except BaseException as error:
-        with files.output.open("a") as out:
-            traceback.print_exception(error, file=out)
+        with files.output.open("a") as output_file:
+            traceback.print_exception(error, file=output_file)
     finally:
         os._exit(code & 0xFF)
 
@@ -163,18 +163,18 @@ def _limit_processor_time() -> None:
 
     Beyond HANGS_S + STILL_S, the system kills it.
     """
-    most_s = round(HANGS_S + STILL_S)
-    resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
+    limit_s = round(HANGS_S + STILL_S)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
 
 
 def _redirect(output: Path) -> None:
     """Redirect the standard output and error of this process to a file, and close its input."""
-    said_file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    null = os.open(os.devnull, os.O_RDONLY)
-    for target, source in ((0, null), (1, said_file), (2, said_file)):
+    output_fd = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    null_fd = os.open(os.devnull, os.O_RDONLY)
+    for target, source in ((0, null_fd), (1, output_fd), (2, output_fd)):
         os.dup2(source, target)
-    os.close(said_file)
-    os.close(null)
+    os.close(output_fd)
+    os.close(null_fd)
     sys.stdin = os.fdopen(0)
     sys.stdout = os.fdopen(1, "w")
     sys.stderr = os.fdopen(2, "w")
@@ -198,19 +198,20 @@ class Census:
     def left_behind(self) -> list[str]:
         """Describe the threads, open files and memory that were added since the snapshot.
 
-        Up to KEPT blocks of memory do not count, nor does any memory if new modules were imported.
+        Up to KEPT_BLOCKS_MAX blocks of memory do not count. If new modules were imported, no memory
+        counts.
         """
         gc.collect()
         threads = [thread.name for thread in threading.enumerate() if thread not in self._threads]
         files = sorted(_open_files() - self._files)
         blocks = sys.getallocatedblocks() - self._blocks
-        if blocks > KEPT and not self.new_modules():
+        if blocks > KEPT_BLOCKS_MAX and not self.new_modules():
             return [*threads, *files, f"{blocks} blocks of memory"]
         return [*threads, *files]
 
 
 def _open_files() -> set[str]:
-    """Return "NUMBER TARGET" for each open file of this process. Empty without /proc."""
+    """List the open files of this process, each as "NUMBER TARGET". Empty without /proc."""
     names = set[str]()
     for entry in Path("/proc/self/fd").glob("*"):
         try:
@@ -221,9 +222,10 @@ def _open_files() -> set[str]:
 
 
 def processor_time_s(pid: int) -> float:
-    """Return the processor time that a process has used [s], in user and system mode.
+    """Read the processor time that a process has used [s], in user and system mode.
 
-    FileNotFoundError is raised if there is no such process.
+    Raises:
+        FileNotFoundError: If there is no such process.
     """
     stat = Path(f"/proc/{pid}/stat").read_text()
     fields = stat.rpartition(")")[2].split()  # after the program's name
@@ -252,10 +254,10 @@ def wait_for_child(
     hangs = False
     now_s = -1.0
     while not hangs and not select.select([pipe_end], [], [], still_s)[0]:
-        before_s = now_s
+        previous_s = now_s
         now_s = used_s(pid)
-        hangs = now_s == before_s or now_s > HANGS_S
+        hangs = now_s == previous_s or now_s > HANGS_S
     if hangs:
         os.kill(pid, signal.SIGKILL)
-    _, status, used = os.wait4(pid, 0)
-    return HUNG if hangs else os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
+    _, status, usage = os.wait4(pid, 0)
+    return HUNG if hangs else os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime

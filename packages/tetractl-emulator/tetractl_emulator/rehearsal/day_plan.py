@@ -191,15 +191,15 @@ def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Pose
     pairs = list(permutations(range(len(starts)), 2))
     middle_x = setup.arena.left + setup.arena.width / 2
     middle_y = setup.arena.bottom + setup.arena.height / 2
-    for first, second in random.sample(pairs, len(pairs)):
-        x, y, _ = starts[first]
+    for first_robot, second_robot in random.sample(pairs, len(pairs)):
+        x, y, _ = starts[first_robot]
         facing_rad = math.atan2(middle_y - y, middle_x - x)
         distance = random.uniform(*FACING_DISTANCES) * separation
         second_x = x + distance * math.cos(facing_rad)
         second_y = y + distance * math.sin(facing_rad)
         if all(shape.distance(second_x, second_y) > setup.body_radius for shape in setup.obstacles):
-            starts[first, 2] = facing_rad
-            starts[second] = (second_x, second_y, facing_rad - math.pi)
+            starts[first_robot, 2] = facing_rad
+            starts[second_robot] = (second_x, second_y, facing_rad - math.pi)
             return Poses.from_array(np.round(starts, 4)), facing_rad
     return setup.starts, 0.0
 
@@ -222,7 +222,7 @@ def faults_of_day(
         names: The robots.
         rows: The variants of faults.
         span_s: Time in which faults begin [s].
-        scale: Factor for lengths; see `scale_of`.
+        scale: Factor for lengths; see `length_scale`.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
     sampled_rows = random.choices(rows, [row.weight for row in rows], k=count)

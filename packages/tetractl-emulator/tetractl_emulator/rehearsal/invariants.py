@@ -295,8 +295,8 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
 def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
     """Check that no robot is left driving after our process has ended, or that the run names it.
 
-    A robot is left driving if its wheels turn `AFTER_NS` later, when everything that was sent has
-    ended. They must also have turned in the last `LEFT_SEEN_S` of our process, so that this could
+    A robot is left driving if its wheels turn `CONTINUE_NS` later, when all commands have ended.
+    The wheels must also have turned in the last `LEFT_SEEN_S` of our process, so that this could
     be seen. It is allowed if the camera did not show the robot at this time, if the robot did not
     receive commands, or if a signal hurried the end. Even then, the run must name the robot.
 

@@ -39,7 +39,7 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.spec.lab_section import LabLimits
 from tetractl_emulator.fault_rows import FRAME_S
-from tetractl_emulator.process import AFTER_NS
+from tetractl_emulator.process import CONTINUE_NS
 from tetractl_emulator.rehearsal.day import DayOutcome
 
 RecordedEvent = Mapping[str, Any]
@@ -285,11 +285,11 @@ class Truth:
     def process_ended_s(self) -> float:
         """Time at which our process ended [s]. 0 if there was no exposure.
 
-        The emulation continues for `AFTER_NS` after this time.
+        The emulation continues for `CONTINUE_NS` after this time.
         """
         if not len(self.times_s):
             return 0.0
-        return float(self.times_s[-1]) - AFTER_NS / SECOND
+        return float(self.times_s[-1]) - CONTINUE_NS / SECOND
 
     # Commands
 

@@ -12,7 +12,7 @@ from testkit.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NO_FAULTS
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_lab import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, start_emulated_lab
 from tetractl_motioncapture.bridge import stream
 from tetractl_motioncapture.camera import MotionCapture
 from tetractl_motioncapture.process_port import ProcessPort
@@ -65,7 +65,7 @@ def lab_of(up="z"):
 def test_poses_are_those_of_the_emulated_bodies_in_the_axes_of_the_system(up):
     lab, setup = lab_of(up)
     clock = LabClock()
-    emulation: EmulatedLab = started(lab, setup, clock, Options(address=None), NO_FAULTS)
+    emulation: EmulatedLab = start_emulated_lab(lab, setup, clock, Options(address=None), NO_FAULTS)
     ports = emulation.wires.ports
     with MotionCapture(lab.camera, setup, clock, lambda: None, ports) as camera:
         frame = camera.frames()[-1]

@@ -9,7 +9,7 @@ from testkit.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NO_FAULTS
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_lab import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, start_emulated_lab
 from tetractl_ros2.camera import Ros2Camera
 from tetractl_ros2.ros2_messages import (
     Bool,
@@ -58,7 +58,7 @@ def lab_of(message):
 def test_poses_are_those_of_the_emulated_robots_whatever_message_holds_them(message):
     lab, setup = lab_of(message)
     clock = LabClock()
-    emulation = started(lab, setup, clock, Options(address=None), NO_FAULTS)
+    emulation = start_emulated_lab(lab, setup, clock, Options(address=None), NO_FAULTS)
     with Ros2Camera(lab.camera, setup, clock, ports=emulation.wires.ports) as camera:
         clock.sleep_until(clock.now() + SECOND // 10)
         frame = camera.frames()[-1]

@@ -63,7 +63,7 @@ class EmulatedTracker(PoseStream):
         x, y = section.origin
         self.view = View(UpAxis.Z, (x * stage.mm, y * stage.mm), section.rotation)
         for body, robot in zip(self.tracked, robots, strict=True):
-            body.asset.offset = robot.heading_offset
+            body.asset.heading_offset = robot.heading_offset
 
     def open(self, loop: Loop) -> Facts:
         """Join the ROS 2 topics of the emulated tracker, and expose its first frame."""

@@ -230,8 +230,8 @@ def test_a_change_of_the_picture_takes_only_itself_back(tmp_path):
     acting = knock.lab.injector.acting
 
     def exposed():
-        view = knock.lab.camera.view.exposed(acting.of_kind("picture"))
-        return view.shift, view.grown, view.turned
+        view = knock.lab.camera.view.at_exposure(acting.of_kind("picture"))
+        return view.shift_mm, view.scale, view.turned_rad
 
     end_knock = knock.begin()
     end_shift = knock.lab.injector.act(shift)
@@ -327,13 +327,13 @@ def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_pat
     end_sliding = sliding.begin()
     end_turning = sliding.lab.injector.act(turning)
     acting = sliding.lab.injector.acting
-    view.exposed(acting.of_kind("picture"))
+    view.at_exposure(acting.of_kind("picture"))
     end_sliding()
-    view.exposed(acting.of_kind("picture"))
+    view.at_exposure(acting.of_kind("picture"))
     end_turning()
-    view.exposed(acting.of_kind("picture"))
-    assert view.shift == 3
-    assert view.turned == 2 * 0.25
+    view.at_exposure(acting.of_kind("picture"))
+    assert view.shift_mm == 3
+    assert view.turned_rad == 2 * 0.25
 
 
 def body_at_origin():
@@ -367,12 +367,12 @@ def test_a_body_that_repeats_its_pose_has_the_number_of_its_twin_at_once(tmp_pat
     """Regression: it was reported with the number that it had had in its last new pose."""
     faulty = faulty_lab(tmp_path, "{fault: twin_id, robot: green, other: blue}")
     camera = faulty.lab.camera
-    green, blue = (body.id for body in camera._expose())
+    green, blue = (body.id for body in camera._expose_bodies())
     act(camera.acting, "repeat", robot="green")
     end = faulty.begin()
-    assert [body.id for body in camera._expose()] == [blue, blue]
+    assert [body.id for body in camera._expose_bodies()] == [blue, blue]
     end()
-    assert [body.id for body in camera._expose()] == [green, blue]
+    assert [body.id for body in camera._expose_bodies()] == [green, blue]
 
 
 @pytest.mark.parametrize("carried_first", [False, True])

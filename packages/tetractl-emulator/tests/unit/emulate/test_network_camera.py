@@ -237,7 +237,7 @@ def test_a_doubled_image_comes_twice():
 def test_images_exposed_while_the_program_was_suspended_come_afterwards_in_their_order():
     reader = Reader()
     timeline = Timeline(lambda when_ns: None)
-    reader.clock.carry(timeline, acting=reader.acting)
+    reader.clock.set_emulation(timeline, acting=reader.acting)
     reader.camera.join(reader.take)
     suspended = act(reader.acting, "stopped")
     timeline.at(500 * MILLISECOND, lambda: reader.acting.remove(suspended))

@@ -142,7 +142,7 @@ def test_frames_of_version_2_are_dated_by_their_arrival(tmp_path, script, sets):
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
     with motive(tmp_path) as (lab, camera, clock), camera:
         (blue,) = (body for body in lab.camera.tracked if body.robot.name == "blue")
-        blue.asset.streamed = False
+        blue.asset.is_streamed = False
         lab.camera.names = (("Green", 1), ("hand", 9))
         assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())

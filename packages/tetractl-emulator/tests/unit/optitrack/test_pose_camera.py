@@ -9,8 +9,8 @@ from testkit.emulator.acting import act
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.pose_camera import (
-    DELAYED_PERIODS,
-    DELAYED_SHARE,
+    DELAY_MAX_PERIODS,
+    DELAYED_FRACTION,
     JITTER_S,
     PoseCamera,
     noise_of_day,
@@ -116,8 +116,8 @@ def test_frames_leave_after_the_latency_with_a_little_jitter_and_a_few_later():
     assert delays.min() >= 5 - 4 * jitter_ms - 1e-6
     assert delays[usual].mean() == pytest.approx(5, abs=0.02)
     assert delays[usual].std() == pytest.approx(jitter_ms, rel=0.05)
-    assert 0.3 * DELAYED_SHARE < (~usual).mean() < 1.3 * DELAYED_SHARE
-    assert 6.5 < delays.max() < 5 + 4 * jitter_ms + 10 * DELAYED_PERIODS
+    assert 0.3 * DELAYED_FRACTION < (~usual).mean() < 1.3 * DELAYED_FRACTION
+    assert 6.5 < delays.max() < 5 + 4 * jitter_ms + 10 * DELAY_MAX_PERIODS
 
 
 def test_faults_add_their_delays_and_random_ones_let_frames_overtake():
@@ -258,7 +258,7 @@ def test_swapped_bodies_have_each_others_poses_and_their_own_numbers():
 
 def test_a_body_that_is_not_streamed_is_in_no_frame():
     camera = begun()
-    camera.tracked[1].asset.streamed = False
+    camera.tracked[1].asset.is_streamed = False
     camera.run(1)
     assert [x_of(frame).keys() for frame, _ in camera.sent] == [{7}, {7}]
     assert camera.shown_ns[1] == 0

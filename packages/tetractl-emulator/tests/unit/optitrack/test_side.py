@@ -12,7 +12,7 @@ from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.optitrack.scripted import OptitrackSettings
 from tetractl_emulator.optitrack.side import EmulatedOptitrack
 from tetractl_emulator.sides import Options, Stage
-from tetractl_emulator.virtual_lab import LabClock, memory_wires
+from tetractl_emulator.virtual_lab import LabClock, create_memory_wires
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import natnet
@@ -41,7 +41,7 @@ class Motive:
             lambda exposure, frame: None,
             lambda exposure: None,
             self.greeted.append,
-            memory_wires(self.network, LabClock()),
+            create_memory_wires(self.network, LabClock()),
         )
         bodies = [
             SimpleNamespace(name=name, x=100.0, y=200.0, heading=0.0)

@@ -15,7 +15,7 @@ from tetractl_emulator.optitrack.tracked_body import (
     PoseNoise,
     TrackedBody,
     View,
-    has_a_pose,
+    has_valid_pose,
 )
 
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
@@ -45,7 +45,7 @@ def check(body, position, heading, height=HEIGHT_MM, view=None):
     assert math.remainder(seen_heading - heading, math.tau) == pytest.approx(0, abs=1e-9)
     assert seen_height == pytest.approx(height)
     assert tilt == pytest.approx(0, abs=1e-6)
-    assert has_a_pose(body)
+    assert has_valid_pose(body)
 
 
 @each_axis
@@ -70,7 +70,7 @@ def test_only_a_creeping_fault_of_the_picture_remains_and_grows():
     view = View()
     creeps = SimpleNamespace(creeps=True, by=(2.0, 1.0), scale=1.1, turn=0.1)
     jumps = SimpleNamespace(creeps=False, by=(50.0, 0.0), scale=2.0, turn=0.5)
-    shown = [view.exposed([creeps, jumps]), view.exposed([creeps]), view.exposed([])]
+    shown = [view.at_exposure([creeps, jumps]), view.at_exposure([creeps]), view.at_exposure([])]
     assert [picture.shift for picture in shown] == [52 + 1j, 4 + 2j, 4 + 2j]
     assert [picture.grown for picture in shown] == pytest.approx([2.2, 1.21, 1.21])
     assert [picture.turned for picture in shown] == pytest.approx([0.6, 0.2, 0.2])
@@ -117,7 +117,7 @@ def test_a_body_that_is_not_seen_is_untracked_at_its_last_pose():
     hidden = made.expose(View())
     assert not hidden.tracking_valid
     assert (hidden.position, hidden.quaternion) == (before.position, before.quaternion)
-    assert made.strayed == 0
+    assert made.drift_mm == 0
     made.acting.remove(fault)
     check(made.expose(View()), complex(X_MM + 110, Y_MM), HEADING)
 
@@ -159,11 +159,11 @@ def test_a_tipped_body_keeps_its_heading_and_is_tilted(up, angle):
 def test_a_broken_pose_is_not_one(kind):
     made = tracked()
     act(made.acting, kind, robot="red")
-    assert has_a_pose(made.expose(View()))
+    assert has_valid_pose(made.expose(View()))
     act(made.acting, kind, robot="green")
     body = made.expose(View())
     assert body.tracking_valid
-    assert not has_a_pose(body)
+    assert not has_valid_pose(body)
 
 
 def test_noise_has_the_deviations_that_are_stated():

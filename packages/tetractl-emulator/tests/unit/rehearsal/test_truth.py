@@ -11,7 +11,7 @@ from matplotlib.path import Path as Outline
 from testkit.emulator.made_days import at, give_log
 from testkit.paths import ROOT
 from tetractl_emulator.fault_rows import FRAME_S
-from tetractl_emulator.process import AFTER_NS
+from tetractl_emulator.process import CONTINUE_NS
 from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 from tetractl_emulator.rehearsal.truth import (
@@ -102,13 +102,13 @@ def test_a_picture_read_while_the_program_was_suspended_shows_none_that_is_known
 
 def test_the_process_ends_a_moment_before_the_emulation():
     truth = truth_of([exposure(1.0), exposure(9.0)])
-    assert truth.process_ended_s == pytest.approx(9.0 - AFTER_NS / SECOND)
+    assert truth.process_ended_s == pytest.approx(9.0 - CONTINUE_NS / SECOND)
     assert truth_of([]).process_ended_s == 0.0
 
 
 def test_a_command_acts_until_the_next_one_or_the_watchdog():
     commands = [at(t, "command", flags=1, wheels=[]) for t in (1.0, 1.1, 5.0)]
-    truth = truth_of([*commands, exposure(5.1 + AFTER_NS / SECOND)])
+    truth = truth_of([*commands, exposure(5.1 + CONTINUE_NS / SECOND)])
     assert truth.acting_s == pytest.approx([0.1, WATCHDOG_S, 0.1])
 
 
@@ -141,7 +141,7 @@ def test_a_command_drives_a_robot_if_it_may_run_and_a_wheel_turns(command, drive
 )
 def test_robots_may_be_driven_while_the_guard_runs_or_holds(states, spans, ended_s):
     events = [guard(seconds, state) for seconds, state in states]
-    truth = truth_of([*events, exposure(9.0 + AFTER_NS / SECOND)])
+    truth = truth_of([*events, exposure(9.0 + CONTINUE_NS / SECOND)])
     assert [(span.began_s, span.ended_s) for span in truth.driven_spans] == spans
     assert truth.driving_ended_s == ended_s
     assert truth.undriven_from_s == ended_s

@@ -12,7 +12,7 @@ from tetractl.core.clock import MILLISECOND, SECOND
 @pytest.fixture
 def clock():
     clock = LabClock()
-    clock.carry(Timeline(lambda when_ns: None), acting=ActingFaults())
+    clock.set_emulation(Timeline(lambda when_ns: None), acting=ActingFaults())
     return clock
 
 
@@ -49,7 +49,7 @@ def test_each_millisecond_all_act_in_their_order_and_watchers_last(clock):
 def test_while_the_process_is_suspended_only_the_emulation_goes_on(clock):
     timeline = Timeline(lambda when_ns: None)
     acting = ActingFaults()
-    clock.carry(timeline, acting=acting)
+    clock.set_emulation(timeline, acting=acting)
     calls = []
     fault = act(acting, "stopped")
     timeline.at(3 * MILLISECOND, lambda: acting.remove(fault))

@@ -60,7 +60,7 @@ def test_the_host_reads_the_pose_that_the_robot_has(up, x, y, heading, ox, oy, r
 def test_a_changed_picture_is_turned_about_the_origin_scaled_and_then_moved(
     up, grown, turned, dx, dy
 ):
-    view = View(up, shift=complex(dx, dy), grown=grown, turned=turned)
+    view = View(up, shift_mm=complex(dx, dy), scale=grown, turned_rad=turned)
     expected = complex(X_MM, Y_MM) * grown * cmath.exp(1j * turned) + complex(dx, dy)
     body = view.rigid_body_at(7, X_MM, Y_MM, HEADING, 60.0)
     check(body, expected, HEADING + turned, view=View(up))
@@ -71,19 +71,19 @@ def test_only_a_creeping_fault_of_the_picture_remains_and_grows():
     creeps = SimpleNamespace(creeps=True, by=(2.0, 1.0), scale=1.1, turn=0.1)
     jumps = SimpleNamespace(creeps=False, by=(50.0, 0.0), scale=2.0, turn=0.5)
     shown = [view.at_exposure([creeps, jumps]), view.at_exposure([creeps]), view.at_exposure([])]
-    assert [picture.shift for picture in shown] == [52 + 1j, 4 + 2j, 4 + 2j]
-    assert [picture.grown for picture in shown] == pytest.approx([2.2, 1.21, 1.21])
-    assert [picture.turned for picture in shown] == pytest.approx([0.6, 0.2, 0.2])
+    assert [picture.shift_mm for picture in shown] == [52 + 1j, 4 + 2j, 4 + 2j]
+    assert [picture.scale for picture in shown] == pytest.approx([2.2, 1.21, 1.21])
+    assert [picture.turned_rad for picture in shown] == pytest.approx([0.6, 0.2, 0.2])
 
 
 def test_a_constant_error_moves_and_turns_a_body():
-    body = tracked(shift=3 - 4j, turned=0.2).expose(View())
+    body = tracked(shift_mm=3 - 4j, turned_rad=0.2).expose(View())
     check(body, complex(X_MM + 3, Y_MM - 4), HEADING + 0.2)
 
 
 def test_an_asset_has_its_own_heading_which_the_host_adds_again():
     made = tracked()
-    made.asset.offset = 0.5
+    made.asset.heading_offset = 0.5
     check(made.expose(View()), complex(X_MM, Y_MM), HEADING - 0.5)
 
 

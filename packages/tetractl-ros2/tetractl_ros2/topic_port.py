@@ -276,11 +276,11 @@ class TopicPort(ClientPort):
         `refusal` contains a message.
 
         Args:
-            exclusive: Whether to refuse a topic on which another program of this computer publishes.
+            exclusive: Whether to refuse a topic on which another program here publishes.
 
         Raises:
-            PortHeldError: If `exclusive` is True, and another program of this computer publishes
-                here.
+            PortHeldError: If `exclusive` is True, and another program of this computer publishes on
+                the topic.
             AbortError: If the topic cannot be joined.
         """
         if exclusive and self.end.topic.publishes:

@@ -90,15 +90,19 @@ def load(name: str, folder: Path | None = None) -> Library:
         TetractlError: If there is no compiler or no source, or if the source does not compile.
     """
     sources = source_folder()
-    codes = [sources / f"{name}_core.c", sources / "framing.c"]
-    parts = [part for code in codes for part in (code, code.with_suffix(".h"))]
-    state = digest(parts, " ".join(FLAGS))
-    path = (folder or cache_folder()) / f"{name}_core-{platform.machine()}-{state}.so"
+    c_files = [sources / f"{name}_core.c", sources / "framing.c"]
+    source_files = [
+        source_file for code in c_files for source_file in (code, code.with_suffix(".h"))
+    ]
+    source_digest = digest(source_files, " ".join(FLAGS))
+    library_path = (
+        folder or cache_folder()
+    ) / f"{name}_core-{platform.machine()}-{source_digest}.so"
     try:
-        read_own(path)
+        read_own(library_path)
     except OSError:  # it is missing, or another user's
-        _build(codes, path)
-    library = ctypes.CDLL(str(path))
+        _build(c_files, library_path)
+    library = ctypes.CDLL(str(library_path))
     functions = {function: library[f"{name}_{function}"] for function in FUNCTIONS[name]}
     for function, (result, *arguments) in FUNCTIONS[name].items():
         functions[function].restype = result
@@ -106,26 +110,28 @@ def load(name: str, folder: Path | None = None) -> Library:
     return functions
 
 
-def _build(codes: list[Path], path: Path) -> None:
+def _build(c_files: list[Path], path: Path) -> None:
     """Compile C files to a shared library at a path.
 
     Raises:
         TetractlError: If there is no compiler, or if the compilation fails.
     """
-    name = compiler()
-    if name is None:
+    compiler_name = compiler()
+    if compiler_name is None:
         raise TetractlError(
             "no C compiler was found; emulated devices need one to build their firmware",
             hint="install gcc or clang, or set the environment variable CC to your compiler",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
-        built = Path(scratch) / path.name
-        done = run_tool([name, *FLAGS, *map(str, codes), "-o", str(built)])
-        if done.returncode:
-            line = (shown_lines(done.stderr) or ["no message"])[0]
-            raise TetractlError(f"{name} could not compile the robots' firmware: {line}")
-        built.replace(path)  # atomic: other processes see the complete file or none
+        built_file = Path(scratch) / path.name
+        result = run_tool([compiler_name, *FLAGS, *map(str, c_files), "-o", str(built_file)])
+        if result.returncode:
+            message = (shown_lines(result.stderr) or ["no message"])[0]
+            raise TetractlError(
+                f"{compiler_name} could not compile the robots' firmware: {message}"
+            )
+        built_file.replace(path)  # atomic: other processes see the complete file or none
 
 
 class CoreEvent(IntEnum):

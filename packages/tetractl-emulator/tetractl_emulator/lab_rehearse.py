@@ -186,7 +186,7 @@ def rehearse_day(
     with_faults: bool = True,
     folder: Path | None = None,
 ) -> "DaySummary":
-    """Run one randomised test run, check it, and return a summary of it.
+    """Run one randomised test run, check its invariants, and return a summary.
 
     Args:
         spec: The spec.

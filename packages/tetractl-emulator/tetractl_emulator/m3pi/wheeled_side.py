@@ -241,7 +241,7 @@ class PortedSide(WheeledSide):
 
     Attributes:
         spec_entries: The entries of the section, in the order of the setup.
-        radii_mm: Distance from a wheel to each robot's centre, shape (N,) [mm].
+        radii: Distance from a wheel to each robot's centre, shape (N,) [mm].
     """
 
     Settings: ClassVar[type[Model]] = WheelsSettings
@@ -269,7 +269,7 @@ class PortedSide(WheeledSide):
         section: Any = stage.lab.actuator
         setup = stage.setup
         self.spec_entries = [entry(section.robots, name) for name in setup.names]
-        self.radii_mm = radii_mm(setup, [spec_entry.radius_mm for spec_entry in self.spec_entries])
+        self.radii = radii_mm(setup, [spec_entry.radius_mm for spec_entry in self.spec_entries])
         override_by_name = {true_robot.name: true_robot for true_robot in settings.robots}
         true_robots = [override_by_name.get(name) or TrueWheels(name=name) for name in setup.names]
         gains = [
@@ -287,7 +287,7 @@ class PortedSide(WheeledSide):
         lags_s = np.array([true_robot.lag for true_robot in true_robots])
         self.timeline = stage.timeline
         self.wheels = EmulatedRobots(
-            self.robots, drivetrains, self.radii_mm, lags_s, stage.timeline.now_ns
+            self.robots, drivetrains, self.radii, lags_s, stage.timeline.now_ns
         )
 
     @abstractmethod

@@ -60,7 +60,7 @@ class CurrentDriver(SerialDevice):
         lag_s: Time constant of the currents [s].
         note: Records an event, called as `note(event, **facts)`. None if there is no record.
         supply_mv: Voltage of the supply without a fault [mV].
-        acting: The faults that act now. None if there are none.
+        acting: The faults that act now. None if no fault can act.
 
     Attributes:
         currents: The true currents in the x and y coils [A].
@@ -98,7 +98,7 @@ class CurrentDriver(SerialDevice):
     def running(self) -> bool:
         """Whether the driver is running, so that its coils make a magnetic field.
 
-        False if switched off.
+        It is False if the driver is switched off.
         """
         return DriverStatus.RUNNING in self.status
 
@@ -131,7 +131,7 @@ class CurrentDriver(SerialDevice):
     def advance(self, until_ns: int) -> None:
         """Advance the currents in steps of 1 ms, up to the time `until_ns` [ns].
 
-        A rest of less than 1 ms is left for the next call.
+        A remainder of less than 1 ms is left for the next call.
         """
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
@@ -386,15 +386,15 @@ class EmulatedField(PluggedDevices):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field and currents, for the record.
+        """The true field, the currents and the newly born cells, for the record.
 
-        The keys are "field_mt" [mT] and "currents_a" [A], each for x and y, and "born", with x, y
-        [mm] and heading [rad] of each cell that was born since the start.
+        The keys are "field_mt" [mT] and "currents_a" [A], each with the values for x and y, and
+        "born", with x, y [mm] and heading [rad] of each cell that was born since the start.
         """
-        quantities = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
-        record = {name: _round_values(values) for name, values in quantities.items()}
-        born = range(len(self._bodies), len(self.dish.cells))
-        daughters = [CellBody("", self.dish, row) for row in born]
+        pairs_by_name = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
+        record = {name: _round_values(values) for name, values in pairs_by_name.items()}
+        born_rows = range(len(self._bodies), len(self.dish.cells))
+        daughters = [CellBody("", self.dish, row) for row in born_rows]
         return record | {
             "born": [[daughter.x, daughter.y, daughter.heading] for daughter in daughters]
         }
@@ -417,7 +417,7 @@ def _round_values(values: Sequence[float]) -> list[float]:
 
 
 def _driver_limits(section: FieldSection) -> DriverLimits:
-    """Return the limits built into the driver, which are those of the spec."""
-    milliamperes = round(1000 * section.current_max_a)
-    slew = round(1000 * section.slew_max_a_s)
-    return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))
+    """Return the limits that are built into the driver. They come from the spec."""
+    current_max_ma = round(1000 * section.current_max_a)
+    slew_ma_s = round(1000 * section.slew_max_a_s)
+    return DriverLimits(current_max_ma, slew_ma_s, round(1000 * section.watchdog))

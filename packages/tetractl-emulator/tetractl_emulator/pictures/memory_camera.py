@@ -24,8 +24,8 @@ from tetractl_emulator.virtual_lab import LabClock
 class MemoryCamera:
     """An emulated network camera on a `LabClock`; a context manager.
 
-    It is also the `Feed` that its reader gets from `join`. While no program reads, nothing is
-    drawn. If more than WAITING_MAX images wait, the oldest are lost.
+    The camera is also the `Feed` that its reader gets from `join`. While no program reads, nothing
+    is drawn. If more than WAITING_MAX images wait, the oldest images are lost.
 
     Args:
         stream: The images.
@@ -70,7 +70,10 @@ class MemoryCamera:
         return self._parts.damaged
 
     def join(self, take: Callable[[bytes], None]) -> Self:
-        """Start to pass each image, a JPEG file, to a function, in place of an earlier one.
+        """Start to pass each image to a function, instead of an earlier function.
+
+        Args:
+            take: Called with each image as a JPEG file.
 
         Returns:
             The camera itself, as the feed.
@@ -80,7 +83,7 @@ class MemoryCamera:
         return self
 
     def interrupt(self) -> None:
-        """Stop passing images. `join` can start it again."""
+        """Stop passing images. `join` starts to pass images again."""
         self._take = None
 
     def _step(self) -> None:
@@ -93,7 +96,7 @@ class MemoryCamera:
     def _expose(self, now_ns: int) -> None:
         """Queue the next image if its exposure has ended.
 
-        It is skipped if nobody reads the images, or if a fault withholds it.
+        The image is skipped if no program reads the images, or if a fault withholds the image.
         """
         stream = self._stream
         exposed_ns = self._start_ns + stream.middle_ns(self._next)
@@ -104,9 +107,9 @@ class MemoryCamera:
             self._wire.append(stream.drawn_part(exposed_ns))
 
     def _deliver(self, due: DuePart) -> None:
-        """Pass an image to the reader, as faults change it. It is lost without a reader.
+        """Pass an image, which faults may damage, to the reader. It is lost without a reader.
 
-        Bodies count as shown only if the whole image is sent.
+        Bodies count as shown only if the image is undamaged.
         """
         sent = self._stream.send(due.drawn)
         if self._take is None:

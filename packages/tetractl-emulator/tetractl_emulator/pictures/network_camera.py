@@ -83,35 +83,33 @@ class PictureStream:
         self._newest = b""  # the last part, before faults spoil it
 
     def middle_ns(self, number: int) -> int:
-        """Return the time from the camera's start to the middle of an image's exposure [ns].
+        """Compute the time from the camera's start to the middle of an image's exposure [ns].
 
-        It is `number` periods, so image 0 would be exposed at the start.
+        Args:
+            number: Number of the image. Image 0 would be exposed at the start.
         """
         return round(number * SECOND / self.rate_hz)
 
     @property
     def latency_ns(self) -> int:
         """Present time from the middle of an exposure until its image is sent [ns]."""
-        late_s = self._acting.total_by("late_pictures")
-        return round(self._latency_s * SECOND) + round(late_s * SECOND)
+        fault_delay_s = self._acting.total_by("late_pictures")
+        return round(self._latency_s * SECOND) + round(fault_delay_s * SECOND)
 
     def withholds(self, number: int) -> bool:
-        """Check whether a fault drops the image with this number. False if no such fault acts."""
-        slow = any(number % fault.every for fault in self._acting.of_kind("half_rate"))
-        return slow or bool(self._acting.of_kind("no_frames"))
+        """Check whether a fault drops the image with this number."""
+        is_skipped = any(number % fault.every for fault in self._acting.of_kind("half_rate"))
+        return is_skipped or bool(self._acting.of_kind("no_frames"))
 
     def drawn_part(self, exposed_ns: int) -> DuePart:
-        """Draw the image of an exposure, and return it as a part of the stream.
-
-        The result states when it is due to be sent, after the present latency.
-        """
+        """Draw the image of an exposure as a part of the stream, due after the present latency."""
         drawn = part(coded(self._draw(exposed_ns)))
         return DuePart(exposed_ns + self.latency_ns, exposed_ns, drawn)
 
     def send(self, drawn: bytes) -> bytes:
-        """Return the bytes that are sent for a part that is due.
+        """Return the bytes to send for a part that is due.
 
-        If a fault repeats images, this is the previous part. Faults can also damage it.
+        A fault can replace the part by the previous part, and faults can damage the part.
         """
         if not self._acting.of_kind("repeat") or not self._newest:
             self._newest = drawn
@@ -123,7 +121,7 @@ class PictureStream:
 
 
 class EmulatedNetworkCamera:
-    """Serves a stream of images at http://127.0.0.1:`port`/; a context manager.
+    """An HTTP server for a stream of images at http://127.0.0.1:`port`/; a context manager.
 
     While there is a client, one thread exposes images and puts each of them into the queue of every
     client. On a busy computer, exposures are skipped. One thread for each client sends the images
@@ -214,10 +212,7 @@ class EmulatedNetworkCamera:
                 self._queue(exposed_ns)
 
     def _queue(self, exposed_ns: int) -> None:
-        """Draw an image, and put it into each client's queue.
-
-        A client whose queue is full misses it.
-        """
+        """Draw an image, and put it into each client's queue. Full queues miss the image."""
         due = self._stream.drawn_part(exposed_ns)
         with self._lock:
             for client in self._clients:
@@ -272,7 +267,7 @@ def part(jpeg: bytes) -> bytes:
 
 
 def cut_short(sent_part: bytes) -> bytes:
-    """Return the first half of a part, as if the connection had lost the rest."""
+    """Return the first half of a part, as if the connection had lost the second half."""
     return sent_part[: len(sent_part) // 2]
 
 

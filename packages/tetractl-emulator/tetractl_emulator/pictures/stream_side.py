@@ -40,7 +40,8 @@ from tetractl_emulator.pictures.network_camera import (
 from tetractl_emulator.sides import Body, Facts, Stage
 from tetractl_emulator.virtual_lab import LabClock
 
-SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
+SPARE_PX = 64
+"""Margin by which a field of noise is larger than an image [px]."""
 
 
 class StreamSettings(Model):
@@ -119,25 +120,25 @@ STREAM_FAULTS = (
 
 
 class SceneHistory:
-    """The newest 200 scenes, as arrays that can be interpolated in time."""
+    """The newest 200 scenes of a camera, as arrays that can be interpolated in time."""
 
     def __init__(self) -> None:
         self._scenes: deque[tuple[int, Floats]] = deque(maxlen=200)
 
     def add(self, time_ns: int, scene: Floats) -> None:
-        """Add the scene at a time [ns], which must be later than the previous ones."""
+        """Add the scene at a time [ns]. The time must be later than all previous times."""
         self._scenes.append((time_ns, scene))
 
     def at(self, when_ns: int) -> Floats:
         """Interpolate linearly between the stored scenes, and return the scene at a time [ns].
 
-        Before the first and after the last stored scene, that scene is returned. At least one
-        scene must have been added.
+        The first stored scene also counts for all earlier times, and the last stored scene for all
+        later times. At least one scene must have been added.
         """
         scenes = list(self._scenes)
         times_ns = [time_ns for time_ns, _ in scenes]
-        later = max(bisect_left(times_ns, when_ns), 1)
-        i = min(later, len(scenes) - 1)
+        later_index = max(bisect_left(times_ns, when_ns), 1)
+        i = min(later_index, len(scenes) - 1)
         if i == 0:
             return scenes[0][1]
         earlier_ns, earlier_scene = scenes[i - 1]
@@ -150,7 +151,7 @@ class SceneHistory:
 
 
 class ShownBodies:
-    """Records when each body was last shown to our program, by images that have arrived.
+    """Records when the arrived images last showed each body to our program.
 
     It is used only in memory, where it is known which images have arrived. When an image arrives,
     the records of all earlier images are deleted.
@@ -159,8 +160,8 @@ class ShownBodies:
         count: Number of bodies.
 
     Attributes:
-        newest_ns: For each body, when it was exposed in the newest image that has shown it to our
-            program [ns]. 0 if none has.
+        newest_ns: For each body, the exposure time of the newest arrived image that shows the body
+            [ns]. 0 if no such image has arrived.
     """
 
     def __init__(self, count: int) -> None:
@@ -213,18 +214,18 @@ class StreamedCamera(ABC):
         section = stage.lab.camera
         assert isinstance(section, PictureSection), "the camera searches pictures"
         source = section.source
-        http = stage.wires.http
-        emulated_sources = MjpegSource if http else (MjpegSource, DeviceSource)
+        is_over_http = stage.wires.http
+        emulated_sources = MjpegSource if is_over_http else (MjpegSource, DeviceSource)
         if not isinstance(source, emulated_sources):
             raise SpecError(
                 f"a camera source of type {source.type} cannot be emulated",
                 "set the source to {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
             )
-        port = stage.options.command_port
+        chosen_port = stage.options.command_port
         stated_port = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
         self._stage = stage
         self._bodies = bodies
-        self._port = stated_port if port is None else port
+        self._port = stated_port if chosen_port is None else chosen_port
         self._drips = settings.drips
         self.pictures = PictureStream(
             self._draw_exposure,
@@ -247,9 +248,9 @@ class StreamedCamera(ABC):
 
     @property
     def shown_ns(self) -> Sequence[int]:
-        """When each body was exposed in the newest image that has shown it to our program [ns].
+        """For each body, the exposure time of the newest image that showed it to our program [ns].
 
-        It is empty over HTTP, where this is not known.
+        The result is empty over HTTP, where the arrivals of images are unknown.
         """
         return () if self._shown_bodies is None else self._shown_bodies.newest_ns
 
@@ -258,13 +259,13 @@ class StreamedCamera(ABC):
         """Return the present scene as an array that can be interpolated in time."""
 
     def _visible_now(self) -> Sequence[bool]:
-        """Check for each body whether it is visible, neither carried nor covered.
+        """Check for each body whether it is visible: neither carried nor covered.
 
-        The order is that of the actuator's bodies.
+        The entries are in the order of the actuator's bodies.
         """
-        covered = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
-        carried = self._stage.acting.robots_are_carried
-        return [not carried and body.name not in covered for body in self._bodies]
+        covered_names = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
+        are_carried = self._stage.acting.robots_are_carried
+        return [not are_carried and body.name not in covered_names for body in self._bodies]
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
@@ -317,10 +318,7 @@ class StreamedCamera(ABC):
         return self._draw(exposed_ns)
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time [ns] on the camera's clock.
-
-        It is interpolated between the stored scenes.
-        """
+        """Interpolate the scene at a time [ns] on the camera's clock."""
         return self._history.at(self._start_ns + t_ns)
 
     def _store_scene(self) -> None:

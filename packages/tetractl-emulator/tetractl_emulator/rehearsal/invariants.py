@@ -60,10 +60,7 @@ In this time, it crosses half the arena.
 ROLL_S = LAG_MAX_S * math.log(1000.0)
 """Time in which the slowest wheels slow down from 1 m/s to 1 mm/s [s]."""
 ROLLS_MM_S = 1.5
-"""Wheel speed above which a robot counts as moving after `ROLL_S` [mm/s].
-
-It is slightly above 1 mm/s.
-"""
+"""Wheel speed above which a robot counts as moving after `ROLL_S`: slightly above 1 mm/s [mm/s]."""
 DRIVEN_MM_S = 5.0
 """Wheel speed above which a robot counts as driven [mm/s]."""
 STOPS_MIN = 5
@@ -171,17 +168,17 @@ def _first_blind_command(truth: Truth) -> Violation | None:
     any_max_s = limits.untracked_abort + limits.reaction + truth.hidden_delay_s
     late_steps_s = (limits.late_steps + 1) * truth.setup.period_s
     undirected_max_s = max(limits.stream_lost, late_steps_s) + limits.reaction
-    mute = truth.had_fault(*MUTE) or truth.was_killed
+    is_mute = truth.had_fault(*MUTE) or truth.was_killed
     off_floor = [fault for fault in hiding_faults(truth) if fault.name in LIFTING_FAULTS]
-    for k, command in enumerate(truth.commands):
+    for i, command in enumerate(truth.commands):
         driven = np.array(truth.driven_by(command), bool)
         if not driven.any():
             continue
-        unseen_s = _unseen_s(truth, command, 0.0 if mute else truth.acting_s[k], off_floor)
-        undirected_s = truth.undirected_s[k]
+        unseen_s = _unseen_s(truth, command, 0.0 if is_mute else truth.acting_s[i], off_floor)
+        undirected_s = truth.undirected_s[i]
         if unseen_s[driven].max() > driven_max_s or unseen_s.max() > any_max_s:
             finding = f"robots were driven although one had been unseen for {unseen_s.max():.3f} s"
-        elif undirected_s > undirected_max_s and not mute:
+        elif undirected_s > undirected_max_s and not is_mute:
             finding = f"robots were driven without a new direction for {undirected_s:.2f} s"
         else:
             continue
@@ -192,10 +189,10 @@ def _first_blind_command(truth: Truth) -> Violation | None:
 def _unseen_s(
     truth: Truth, command: RecordedEvent, acts_s: float, off_floor: Sequence[VisibleFault]
 ) -> Floats:
-    """Compute how long each robot was not shown when a command had acted for `acts_s`, shape (N,).
+    """Compute how long each robot was unseen when a command had acted for `acts_s` [s], shape (N,).
 
-    Robots that are `off_floor` when the command is sent are excluded, because somebody had lifted
-    them.
+    A robot that a fault in `off_floor` lifts when the command is sent counts as unseen since the
+    begin of the fault, even if the camera tracks it.
     """
     unseen_s = np.array(command["unseen_ms"]) / 1000 + acts_s
     at_s = time_s(command)
@@ -266,7 +263,7 @@ def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
 
 
 def _not_at_rest(at_s: float, finding: str) -> Violation:
-    """Report a violation of the second invariant at a time [s]."""
+    """Create a violation of the invariant that robots rest after a stop, at a time [s]."""
     return Violation("not at rest", at_s, finding)
 
 
@@ -286,9 +283,9 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
         return
     bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
     must_rest = truth.times_s > truth.undriven_from_s + bound_s
-    rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
-    if rolls.any():
-        row, i = np.argwhere(rolls)[0]
+    is_rolling = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
+    if is_rolling.any():
+        row, i = np.argwhere(is_rolling)[0]
         yield _not_at_rest(float(truth.times_s[row]), f"{truth.setup.names[i]} moves")
 
 
@@ -368,12 +365,12 @@ def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
 
     Test runs in which a robot restarted are not checked, because a restart releases the stop.
     """
-    latched = truth.has_status(LATCHED_BIT)
-    freed = (latched[:-1] & ~latched[1:]).any(axis=1)
-    if freed.any() and not truth.had_fault(*RESTARTING_FAULTS):
-        freed_row = 1 + freed.argmax()
+    is_latched = truth.has_status(LATCHED_BIT)
+    is_released = (is_latched[:-1] & ~is_latched[1:]).any(axis=1)
+    if is_released.any() and not truth.had_fault(*RESTARTING_FAULTS):
+        released_row = 1 + is_released.argmax()
         yield _not_at_rest(
-            float(truth.times_s[freed_row]), "the emergency stop of a robot is released"
+            float(truth.times_s[released_row]), "the emergency stop of a robot is released"
         )
 
 
@@ -389,12 +386,12 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     it. A radio that delays all commands equally also delays the final stop. Test runs in which
     another program drove the robots are not checked.
     """
-    heard_s = truth.driving_ended_s + TRANSIT_S + truth.total_delay_s("late_radio", "reboots")
+    stopped_s = truth.driving_ended_s + TRANSIT_S + truth.total_delay_s("late_radio", "reboots")
     overtaken_s = truth.total_delay_s("overtaken_packets")
-    numbered = any("sequence" in command for command in truth.commands)
-    if not numbered or overtaken_s > FORGET_S:
-        heard_s += overtaken_s
-    is_after = (truth.times_s > heard_s)[:, None]
+    has_numbers = any("sequence" in command for command in truth.commands)
+    if not has_numbers or overtaken_s > FORGET_S:
+        stopped_s += overtaken_s
+    is_after = (truth.times_s > stopped_s)[:, None]
     is_running = truth.has_status(RUNNING_BIT)
     is_stationary = is_after & ~is_running & ~truth.has_status(SILENT_BIT)
     has_stood = np.maximum.accumulate(is_stationary, axis=0)
@@ -414,9 +411,11 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
     """
     for span in truth.driven_spans:
         until_s = span.ended_s + truth.watchdog_s
-        sent = [at_s for at_s in truth.stop_commands_s if span.ended_s - TRANSIT_S < at_s < until_s]
-        if len(sent) < STOPS_MIN and until_s < truth.process_ended_s:
-            yield _not_at_rest(span.ended_s, f"only {len(sent)} stops were sent")
+        stop_times_s = [
+            at_s for at_s in truth.stop_commands_s if span.ended_s - TRANSIT_S < at_s < until_s
+        ]
+        if len(stop_times_s) < STOPS_MIN and until_s < truth.process_ended_s:
+            yield _not_at_rest(span.ended_s, f"only {len(stop_times_s)} stops were sent")
             return
 
 
@@ -432,18 +431,18 @@ def _stops_are_repeated(truth: Truth) -> Iterator[Violation]:
     stops_s = np.array([-np.inf, *truth.stop_commands_s])
     times_s = truth.times_s
     unseen_s = truth.unseen_s
-    restless = ((truth.wheel_speed_mm_s > DRIVEN_MM_S) & (unseen_s < SHOWN_S)).any(axis=1)
-    restless |= np.ptp(unseen_s, axis=1) > truth.watchdog_s
+    is_restless = ((truth.wheel_speed_mm_s > DRIVEN_MM_S) & (unseen_s < SHOWN_S)).any(axis=1)
+    is_restless |= np.ptp(unseen_s, axis=1) > truth.watchdog_s
     for fault in truth.faults_showing_motion:
-        restless |= (times_s > fault.span.began_s) & (times_s < fault.span.ended_s)
-    restless &= times_s > truth.driving_ended_s
-    at_rest_s = np.maximum.accumulate(np.where(restless, truth.driving_ended_s, times_s))
-    must_stop = restless & (times_s - at_rest_s > ROLL_S + MOTION_SEEN_S)
+        is_restless |= (times_s > fault.span.began_s) & (times_s < fault.span.ended_s)
+    is_restless &= times_s > truth.driving_ended_s
+    at_rest_s = np.maximum.accumulate(np.where(is_restless, truth.driving_ended_s, times_s))
+    must_stop = is_restless & (times_s - at_rest_s > ROLL_S + MOTION_SEEN_S)
     must_stop &= times_s < min(truth.driving_ended_s + WATCHED_S, truth.process_ended_s)
     stop_age_s = times_s - stops_s[np.searchsorted(stops_s, times_s) - 1]
-    too_old = must_stop & (stop_age_s > MOTION_SEEN_S + TRANSIT_S)
-    if too_old.any():
-        row = int(too_old.argmax())
+    is_too_old = must_stop & (stop_age_s > MOTION_SEEN_S + TRANSIT_S)
+    if is_too_old.any():
+        row = int(is_too_old.argmax())
         finding = (
             f"no stop was sent for {stop_age_s[row]:.2f} s although the cameras had not "
             "shown that a robot stands still"
@@ -480,21 +479,21 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     if not len(truth.times_s) or truth.had_fault(*DRIVEN_BY_OTHERS) or truth.false_poses_look_true:
         return
     speed_mm_s = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
-    wrong_mm = np.maximum.accumulate(truth.position_error_mm, axis=0)
-    allowed_mm = wrong_mm + speed_mm_s * _rolls_on_s(truth) + NOISE_MM / 2
+    error_mm = np.maximum.accumulate(truth.position_error_mm, axis=0)
+    allowed_mm = error_mm + speed_mm_s * _rolls_on_s(truth) + NOISE_MM / 2
     pushed_mm = _pushed_mm(truth)
     names = truth.setup.names
     yield from _worst_place(truth, truth.outside_mm - allowed_mm - pushed_mm, names)
-    pairs = list(combinations(range(len(names)), 2))
-    if not pairs:
+    robot_pairs = list(combinations(range(len(names)), 2))
+    if not robot_pairs:
         return
     positions = truth.poses[..., 0] + 1j * truth.poses[..., 1]
     too_near = list[Floats]()
-    for i, j in pairs:
+    for i, j in robot_pairs:
         apart_mm = np.abs(positions[:, i] - positions[:, j])
         lacking_mm = truth.limits.separation_mm - apart_mm
         too_near.append(lacking_mm - allowed_mm[:, i] - allowed_mm[:, j])
-    pair_names = [f"{names[i]}, {names[j]}" for i, j in pairs]
+    pair_names = [f"{names[i]}, {names[j]}" for i, j in robot_pairs]
     yield from _worst_place(truth, np.stack(too_near, axis=1) - pushed_mm, pair_names)
 
 
@@ -524,8 +523,11 @@ def _rolls_on_s(truth: Truth) -> Floats:
 def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Iterator[Violation]:
     """Yield the worst violation of a limit, among these robots or pairs of robots.
 
-    `beyond_mm` (T, number of names) is how far each is beyond the limit at each exposure [mm].
-    Nothing is yielded if none is above 0.
+    Args:
+        truth: What truly happened.
+        beyond_mm: How far each robot or pair is beyond the limit at each exposure, shape (T, number
+            of names) [mm]. Nothing is yielded if no value is above 0.
+        names: Names of the robots or pairs.
     """
     if (beyond_mm > 0).any():
         row, i = np.unravel_index(int(beyond_mm.argmax()), beyond_mm.shape)
@@ -628,9 +630,9 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
     rows = np.unique(truth.logged_exposures).tolist()
     ready_s = [time_s(event) for event in truth.events("guard", state="ready")]
     for fault in truth.faults_of("ghost", "repeat"):
-        other_spans = [other.span for other in truth.faults if other is not fault]
-        named = [fault.fields["robot"]] if "robot" in fault.fields else truth.setup.names
-        for i in map(truth.setup.names.index, named):
+        other_spans = [other_fault.span for other_fault in truth.faults if other_fault is not fault]
+        robots = [fault.fields["robot"]] if "robot" in fault.fields else truth.setup.names
+        for i in map(truth.setup.names.index, robots):
             accepted_s = refused_s = np.inf
             for row in rows:
                 at_s = float(truth.times_s[row])
@@ -638,12 +640,12 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
                     refused_s = at_s
                     continue
                 was_refused = refused_s - accepted_s > REFUSED_S
-                lasts = fault.span.began_s < refused_s and at_s < fault.span.ended_s
+                is_acting = fault.span.began_s < refused_s and at_s < fault.span.ended_s
                 is_only_fault = not any(
                     span.began_s < at_s and span.ended_s > accepted_s for span in other_spans
                 )
-                paused = any(accepted_s < ready < at_s for ready in ready_s)
-                if was_refused and lasts and is_only_fault and not paused:
+                was_paused = any(accepted_s < ready < at_s for ready in ready_s)
+                if was_refused and is_acting and is_only_fault and not was_paused:
                     finding = (
                         f"a false pose of {truth.setup.names[i]} is accepted again: {fault.variant}"
                     )

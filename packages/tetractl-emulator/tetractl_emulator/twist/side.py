@@ -48,5 +48,5 @@ class EmulatedTwist(PortedSide):
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
         """Create a robot with the compiled core of the firmware; see `PortedSide.make_robot`."""
-        core = partial(TwistCore, radius_mm=round(float(self.radii_mm[row])))
+        core = partial(TwistCore, radius_mm=round(float(self.radii[row])))
         return EmulatedRobot(name, self._section.index(name), battery_mv, core, acting)

@@ -69,7 +69,7 @@ def test_a_twist_is_a_speed_and_a_turning_rate_of_the_wheels():
         unit_mm = lab.spec.experiment.plant.actuator.unit_mm
         left, right = (count * unit_mm for count in side.read(twist(0.1, 0.5), 1))
         assert (left + right) / 2 == pytest.approx(100.0, abs=unit_mm)
-        assert (right - left) / 2 == pytest.approx(0.5 * side.radii_mm[1], abs=unit_mm)
+        assert (right - left) / 2 == pytest.approx(0.5 * side.radii[1], abs=unit_mm)
         left, right = side.read(twist(-0.1, 0.0), 1)
         assert left == right == round(-100 / unit_mm)
 

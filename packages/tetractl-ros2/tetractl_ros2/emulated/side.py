@@ -142,7 +142,7 @@ class EmulatedRos2Robots(PortedSide):
             twist = decoded if isinstance(decoded, Twist) else decoded.twist
             speed_mm_s = twist.linear.x * 1000
             turning_rad_s = twist.angular.z
-        wheel_offset_mm_s = turning_rad_s * float(self.radii_mm[row])
+        wheel_offset_mm_s = turning_rad_s * float(self.radii[row])
         unit_mm = Ros2Section.unit_mm
         return round((speed_mm_s - wheel_offset_mm_s) / unit_mm), round(
             (speed_mm_s + wheel_offset_mm_s) / unit_mm

@@ -11,9 +11,12 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.model.swimmers import Swimmers
 from tetractl_emulator.faults import ActingFaults
 
-SWIM_NS = 2 * MILLISECOND  # time step of the cells' motion
+SWIM_NS = 2 * MILLISECOND
+"""Time step of the cells' motion [ns]."""
 UM_MM = 1000.0
-DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in widths of the dish
+"""Micrometres per millimetre."""
+DROP = 0.25
+"""Maximum distance of a drop's cells from the middle of the dish, in widths of the dish."""
 
 
 class CoilField:
@@ -33,7 +36,7 @@ class CoilField:
 
     @property
     def coils(self) -> CoilsSection:
-        """The coils of the spec, with the changes by the faults that act now."""
+        """The coils of the spec, as the acting faults change them."""
         coils = self._section
         for fault in self._acting.of_kind("weak_coils"):
             pair: CoilPair = getattr(coils, fault.axis)
@@ -75,6 +78,11 @@ class Dish:
         start_ns: Time at which the emulation starts [ns].
         seed: Seed of all random numbers.
         walls: The edges along which cells slide [um]. None for a dish without edges.
+
+    Attributes:
+        cells: The cells.
+        held: Whether a placed cell stays where it is until the driver first makes a field.
+        steered: Whether the driver makes a field at present.
     """
 
     def __init__(
@@ -106,13 +114,13 @@ class Dish:
         if walls is None:
             return
         count = len(self.cells)
-        random = self._random
+        random_generator = self._random
         for positions, low, size in (
             (self.cells.x, walls.left, walls.width),
             (self.cells.y, walls.bottom, walls.height),
         ):
-            positions[:] = low + size * random.uniform(0.5 - DROP, 0.5 + DROP, count)
-        self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
+            positions[:] = low + size * random_generator.uniform(0.5 - DROP, 0.5 + DROP, count)
+        self.cells.heading[:] = random_generator.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
         """Divide the cell with this index.
@@ -129,20 +137,20 @@ class Dish:
     def advance(self, until_ns: int) -> None:
         """Advance the driver and the cells in steps of 1 ms, up to the time `until_ns` [ns].
 
-        Cells that rest start to swim again when the driver starts. A rest of less than 1 ms is left
-        for the next call.
+        Resting cells start to swim again when the driver starts. A remainder of less than 1 ms is
+        left for the next call.
         """
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
             self.driver.advance(self._now_ns)
-            steered = self.driver.running
-            if steered and not self.steered:
+            is_running = self.driver.running
+            if is_running and not self.steered:
                 self.cells.resting[:] = False
-            self.steered = steered
+            self.steered = is_running
             if self._now_ns - self._swum_ns >= SWIM_NS:
                 field = self.field.relative(self.driver.currents)
-                seconds = (self._now_ns - self._swum_ns) / SECOND
-                self.cells.swim(field, seconds, self._random, walls=self._walls)
+                elapsed_s = (self._now_ns - self._swum_ns) / SECOND
+                self.cells.swim(field, elapsed_s, self._random, walls=self._walls)
                 self._swum_ns = self._now_ns
 
 
@@ -153,7 +161,7 @@ class CellBody:
     counts as standing while the driver makes no field.
 
     Args:
-        name: Its name.
+        name: Name of the cell.
         dish: The dish.
         row: Index of the cell in the dish.
     """

@@ -131,27 +131,27 @@ class EmulatedMicroscope(StreamedCamera):
             )
         self._dish = cells[0].dish
         self._dish.held = False  # the camera would not recognise a cell that does not swim
-        um = stage.setup.metres * 1e6
+        unit_um = stage.setup.metres * 1e6
         arena = stage.setup.arena
-        corner = section.corner[0] * um, section.corner[1] * um
-        sides = (  # the same margin beyond the arena as at the lower left
-            (arena.right + arena.left) * um - 2 * corner[0],
-            (arena.top + arena.bottom) * um - 2 * corner[1],
+        corner_um = section.corner[0] * unit_um, section.corner[1] * unit_um
+        sides_um = (  # the same margin beyond the arena as at the lower left
+            (arena.right + arena.left) * unit_um - 2 * corner_um[0],
+            (arena.top + arena.bottom) * unit_um - 2 * corner_um[1],
         )
-        width, height = (math.ceil(max(side / section.um_px, 64)) for side in sides)
-        drawn = PictureLook.sample(np.random.default_rng(self.seed), 1024, section.um_px)
+        width, height = (math.ceil(max(side_um / section.um_px, 64)) for side_um in sides_um)
+        sampled_look = PictureLook.sample(np.random.default_rng(self.seed), 1024, section.um_px)
         self.painter = DishPainter(
             PictureLook(
                 width=settings.width or width,
                 height=settings.height or height,
                 um_px=section.um_px,
-                corner_um=corner,
+                corner_um=corner_um,
                 exposure_s=settings.exposure,
                 bright=settings.bright,
                 light=50.0 if settings.bright else 160.0,
                 contrast=settings.contrast,
                 noise=settings.noise,
-                specks=drawn.specks[: settings.specks],
+                specks=sampled_look.specks[: settings.specks],
             ),
             self.seed,
         )
@@ -175,20 +175,20 @@ class EmulatedMicroscope(StreamedCamera):
         return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
     def _look(self) -> PictureLook:
-        """Return the properties of the images, as the acting faults change them.
-
-        Without such faults, they are those of the script.
-        """
+        """Return the properties of the images, as the acting faults change them."""
         acting = self._stage.acting
         look = self._plain_look
         for light in acting.of_kind("light"):
-            lit = {"light": look.light * light.share, "contrast": look.contrast * light.share}
-            look = replace(look, **lit, flicker=light.flicker)
+            brightness = {
+                "light": look.light * light.share,
+                "contrast": look.contrast * light.share,
+            }
+            look = replace(look, **brightness, flicker=light.flicker)
         for focus in acting.of_kind("focus"):
             look = replace(look, focus_um=focus.by_um)
         for knock in acting.of_kind("knocked"):
-            corner = look.corner_um[0] + knock.by_um[0], look.corner_um[1] + knock.by_um[1]
-            look = replace(look, corner_um=corner)
+            corner_um = look.corner_um[0] + knock.by_um[0], look.corner_um[1] + knock.by_um[1]
+            look = replace(look, corner_um=corner_um)
         for bubble in acting.of_kind("bubble"):
             x = look.corner_um[0] + look.width * look.um_px / 2
             y = look.corner_um[1] + look.height * look.um_px / 2
@@ -203,9 +203,9 @@ class EmulatedMicroscope(StreamedCamera):
         appears in the next image.
         """
         self.painter.change(self._look())
-        span = self.painter.look.exposure_s * SECOND
-        spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
-        scenes = [self._scene_at(exposed_ns + round(part * span)) for part in spread]
+        exposure_ns = self.painter.look.exposure_s * SECOND
+        offsets = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
+        scenes = [self._scene_at(exposed_ns + round(offset * exposure_ns)) for offset in offsets]
         # a cell divided during the exposure appears in the next picture
         count = min(scene.shape[1] for scene in scenes)
         moments = [Bodies(*scene[:, :count]) for scene in scenes]

@@ -91,7 +91,7 @@ def test_a_log_from_anybody_is_read_or_told_in_a_line(build, contents, tmp_path)
 def test_a_message_that_is_none_is_told_in_a_line(topic, contents, tmp_path):
     """Regression: `info`, which looks into few of the messages, and `verify`, which makes the
     host's again, ended in tracebacks."""
-    entries = contents.by_topic.get(topic, ())
+    entries = contents.entries_by_topic.get(topic, ())
     spoilt = {entry: entry._replace(data=b"\xff" * 4) for entry in entries}
     log = rewrite(contents, tmp_path / "hostile.mcap", spoilt)
     for command in ("info", "info --json", "verify"):

@@ -96,7 +96,7 @@ def with_entry(contents: RawLog, path: Path, index: int, place: Place) -> Path:
 
 def stating(contents: RawLog, topic: str, **fields: Any) -> dict[Entry, Entry]:
     """The first message of a topic with some fields replaced, to be given to `rewrite`."""
-    entry = contents.by_topic[topic][0]
+    entry = contents.entries_by_topic[topic][0]
     message: Any = CHANNELS[topic].FromString(entry.data)
     for name, value in fields.items():
         if isinstance(value, list):
@@ -109,7 +109,7 @@ def stating(contents: RawLog, topic: str, **fields: Any) -> dict[Entry, Entry]:
 
 def of_host(contents: RawLog, **facts: str) -> dict[Entry, Entry]:
     """The message of the host with some facts replaced, to be given to `rewrite`."""
-    entry = contents.by_topic[HOST][0]
+    entry = contents.entries_by_topic[HOST][0]
     message = Host.FromString(entry.data)
     for fact in message.facts:
         fact.value = facts.get(fact.key, fact.value)
@@ -120,7 +120,7 @@ def rewrite(
     contents: RawLog, path: Path, entries: Mapping[Entry, Entry], apart: bool = False
 ) -> Path:
     """Write a log again with some entries replaced, or each message in its own chunk."""
-    sink = Sink(path, others=contents.channels)
+    sink = Sink(path, other_channels=contents.channels)
     for record in contents.records:
         if isinstance(record, Attachment):
             sink.add(record)

@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 from testkit import cli
 from testkit.running import QUICK, Started
 from tetractl.run.batch import OnFailure, run_batch
-from tetractl.run.executors import on_this_machine
+from tetractl.run.executors import local_executor
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.arm_table import finished_trials, write_table
 from tetractl.study.load_study import load_study
-from tetractl.study.missing_trials import lacking
+from tetractl.study.missing_trials import unfinished_tasks
 
 STUDY = """\
 name: quick
@@ -74,8 +74,8 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     watcher = Watcher()
     with store.opened():
         rerun_outdated = options.get("rerun_outdated", False)
-        tasks, outdated = lacking(loaded, store, rerun_outdated)
-        executor = options.get("executor") or on_this_machine(
+        tasks, outdated = unfinished_tasks(loaded, store, rerun_outdated)
+        executor = options.get("executor") or local_executor(
             options.get("jobs", 1), len(tasks), Interrupt()
         )
         on_failure = options.get("on_failure", OnFailure.GO_ON)

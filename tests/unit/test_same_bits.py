@@ -5,10 +5,10 @@ import ast
 import pytest
 from testkit.paths import ROOT
 
-from tetractl.log.provenance import TRIAL_CODE
+from tetractl.log.provenance import TRIAL_CODE_PARTS
 
 PACKAGE = ROOT / "tetractl"
-FILES = sorted(file for part in TRIAL_CODE for file in (PACKAGE / part).rglob("*.py"))
+FILES = sorted(file for part in TRIAL_CODE_PARTS for file in (PACKAGE / part).rglob("*.py"))
 LIBRARIES = ("math", "cmath", "np", "numpy")
 TRIGONOMETRIC = (
     "sin cos tan asin acos atan atan2 arcsin arccos arctan arctan2 sinc angle phase rect"

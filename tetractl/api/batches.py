@@ -62,7 +62,7 @@ def run_batch(
         3
     """
     from tetractl.run import batch
-    from tetractl.run.executors import on_this_machine
+    from tetractl.run.executors import local_executor
     from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks
     from tetractl.view.terminal.progress import progress_of_script
@@ -76,9 +76,9 @@ def run_batch(
         "resume=True, this function runs the others"
     )
     with interruptible(after) as interrupt, store.opened(resume):
-        todo = store.lacking
+        todo = store.unfinished
         tasks = batch_tasks(spec, todo)
-        executor = on_this_machine(jobs, len(todo), interrupt)
+        executor = local_executor(jobs, len(todo), interrupt)
         watcher = _Watcher(on_result, progress_of_script(len(todo)) if progress else None)
         on_failure = batch.OnFailure.of_batch(spec.experiment.plant)
         report = batch.run_batch(tasks, store, executor, watcher, on_failure)
@@ -120,7 +120,7 @@ def run_study(
         ['small', 'large']
     """
     from tetractl.run import batch
-    from tetractl.run.executors import on_this_machine
+    from tetractl.run.executors import local_executor
     from tetractl.statistics.open_batch import Batches
     from tetractl.study import arm_table, figure, missing_trials
     from tetractl.study.load_study import load_study
@@ -138,9 +138,9 @@ def run_study(
         "call of `run_study` runs the others"
     )
     with store.opened(), interruptible(after) as interrupt:
-        tasks, _ = missing_trials.lacking(loaded, store, rerun_outdated=False)
+        tasks, _ = missing_trials.unfinished_tasks(loaded, store, rerun_outdated=False)
         missing_trials.warm_up_arms(loaded, announcer(progress))
-        executor = on_this_machine(jobs, len(tasks), interrupt)
+        executor = local_executor(jobs, len(tasks), interrupt)
         watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher)
         arm_table.write_table(loaded, store)

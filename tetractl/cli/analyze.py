@@ -77,7 +77,7 @@ def _simulate(loaded: "LoadedSpec", folder: Path, jobs: int, interrupt: "Interru
 
     experiment = loaded.experiment
     store = Store.of_batch(folder, experiment)
-    tasks = batch_tasks(loaded, store.lacking)
+    tasks = batch_tasks(loaded, store.unfinished)
     console = open_console(stderr=True)
     console.quiet = not console.is_terminal
     lines = prepare_in_lines(console, experiment.units.length, len(tasks), jobs, interrupt, ())

@@ -32,7 +32,7 @@ def export(
 
     Example: tetractl export logs/three-m3pi -o tables
     """
-    from tetractl.statistics.trial_tables import of_log
+    from tetractl.statistics.trial_tables import read_tables
 
     table_paths = _table_paths(out, table)
     log_paths = find_logs(logs)
@@ -42,7 +42,7 @@ def export(
         for number, path in enumerate(log_paths):
             on_log(number, len(log_paths))
             try:
-                rows_of, damage = of_log(path, table_paths)
+                rows_of, damage = read_tables(path, table_paths)
             except LogError as error:
                 ui.tell(f"warning: {error.message}")
                 unread.append(path)

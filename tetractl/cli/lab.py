@@ -52,7 +52,7 @@ def check(
     """
     from tetractl.control.methods.build import warm_up
     from tetractl.lab.preflight import Preflight, inspect_lab
-    from tetractl.run.model_changes import LATENCY, stated_model
+    from tetractl.run.model_changes import LATENCY_FIELD, stated_model
     from tetractl.run.practice import practise
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
@@ -67,14 +67,14 @@ def check(
             return findings
         warm_up(experiment, partial(ui.announce_compiling, False))
         practice = practise(loaded, rig.clock, rig.measure_silence_ns)
-        return practice.added_to(findings, rig.limits)
+        return practice.add_to(findings, rig.limits)
 
-    with interrupted_once(robots=True):
+    with interrupted_once(robots_move=True):
         preflight = inspect_lab(rig, with_practice)
     if as_json:
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
-        print_findings(preflight, LATENCY in stated_model(experiment).delays)
+        print_findings(preflight, LATENCY_FIELD in stated_model(experiment).delay_fields)
     if not preflight.can_start:
         return Exit.FAILED
     if yes:
@@ -244,7 +244,7 @@ def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Ite
     such key.
     """
     stop_key = StopKey(supervision.emergency.set, lambda: None)
-    with hang_up_without_reader(), interrupted_once(robots=True), stop_key as key:
+    with hang_up_without_reader(), interrupted_once(robots_move=True), stop_key as key:
         if key.listening:
             ui.tell(STOP_HINT)
         elif real_robots:

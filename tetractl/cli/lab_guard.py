@@ -81,9 +81,9 @@ def _change_limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
     from tetractl.spec.explain_errors import explain_in_words
     from tetractl.spec.lab_section import LabLimits
     from tetractl.spec.yaml.document import parse_value
-    from tetractl.verification.guard_replay import limits_of
+    from tetractl.verification.guard_replay import lab_limits
 
-    values = limits_of(log).model_dump()
+    values = lab_limits(log).model_dump()
     for setting in sets:
         path, equals, new_value = setting.partition("=")
         if not path.startswith(LIMITS) or not equals:
@@ -141,15 +141,15 @@ def _format_number(event: "Intervention", field: str) -> str:
 def _count_interventions(reports: "list[GuardReport]") -> list[dict[str, Any]]:
     """Count the interventions of each check, and sum the hours for which the check was active."""
     from tetractl.lab.guard_observer import Action
-    from tetractl.verification.guard_replay import KERNEL_CHECKS, WHEEL_CHECKS
+    from tetractl.verification.guard_replay import COMMON_CHECKS, WHEEL_CHECKS
 
     by_check = Counter(
         (event.check, event.act) for report in reports for event in report.interventions
     )
-    check_names = dict.fromkeys((*KERNEL_CHECKS, *WHEEL_CHECKS, *(check for check, _ in by_check)))
+    check_names = dict.fromkeys((*COMMON_CHECKS, *WHEEL_CHECKS, *(check for check, _ in by_check)))
     rows: list[dict[str, Any]] = []
     for name in check_names:
-        is_special = name not in KERNEL_CHECKS + WHEEL_CHECKS
+        is_special = name not in COMMON_CHECKS + WHEEL_CHECKS
         watched = [report.watched_s for report in reports if is_special or name in report.checks]
         rows.append(
             {

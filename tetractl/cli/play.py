@@ -213,10 +213,10 @@ class Game:
             supervision: How people supervise the run. None if the robots are simulated.
             pause: Lets the person pause the trial. None if nobody can.
         """
-        from tetractl.run.hand import HandController, go_on, run_by_hand
+        from tetractl.run.hand import HandController, never_pause, run_by_hand
 
         folder = self._folder(len(self.yours) + 1)
-        hand = HandController(self._directed, TRIAL, ask, pause or go_on)
+        hand = HandController(self._directed, TRIAL, ask, pause or never_pause)
         result = run_by_hand(self._directed, folder, hand, observers, self.interrupt, supervision)
         if hand.directions:
             self.yours.append(result)
@@ -387,13 +387,13 @@ def _build_observers(
     view: "LiveView", keys: "HandKeys", speed: float, say_at_end: "Callable[[Result], None]"
 ) -> "Sequence[Observer]":
     """Return observers that show a trial at `speed` times the wall clock, and report its end."""
-    from tetractl.run.hand import AtEnd, WallPace
+    from tetractl.run.hand import EndNotifier, WallPace
 
     def at_end(result: "Result") -> None:
         keys.forget()  # before the words are on the screen: a key that answers counts
         say_at_end(result)
 
-    return [view, WallPace(MonotonicClock(), speed), AtEnd(at_end)]
+    return [view, WallPace(MonotonicClock(), speed), EndNotifier(at_end)]
 
 
 # ---- what is said ----

@@ -142,7 +142,7 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
         ui.tell(f"  {first_difference}")
     if raw.damaged or not result_of(raw).outcome.complete:
         ui.tell(f"  {raw.path} is damaged, or its trial was cut short")
-    if raw.text(RESOLVED_SPEC) != raw_again.text(RESOLVED_SPEC):
+    if raw.attachment_text(RESOLVED_SPEC) != raw_again.attachment_text(RESOLVED_SPEC):
         ui.tell("  the spec in the log lacks fields that this version of tetractl has")
     for line in host_differences(trial):
         ui.tell(f"  {line}")

@@ -65,15 +65,15 @@ def stats(
     Example: tetractl stats logs/slip
     """
     from tetractl.statistics.describe import contrast
-    from tetractl.statistics.open_batch import one_source, sources
+    from tetractl.statistics.open_batch import combine_sources, find_sources
 
-    batches = sources(paths)
+    batches = find_sources(paths)
     if plot:
         from tetractl.view.style import file_format
 
         file_format(plot)  # checked before the logs are read
     if against:
-        *described, baseline = _described([*batches, one_source(against)])
+        *described, baseline = _described([*batches, combine_sources(against)])
         comparison = contrast(described, baseline)
     else:
         comparison = contrast(_described(batches))

@@ -82,11 +82,11 @@ def study(
     store = loaded.store(folder)
     if dry_run:
         store.read()
-        tasks, _ = missing_trials.lacking(loaded, store, rerun_outdated)
+        tasks, _ = missing_trials.unfinished_tasks(loaded, store, rerun_outdated)
         print_tables([missing_trials.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
-        tasks, outdated = missing_trials.lacking(loaded, store, rerun_outdated)
+        tasks, outdated = missing_trials.unfinished_tasks(loaded, store, rerun_outdated)
         _tell_of_outdated(outdated)
         interrupted = _run_tasks(loaded, store, tasks, jobs, cluster, fail_fast, quiet)
         return _conclude(loaded, store, interrupted)
@@ -120,7 +120,7 @@ def _run_tasks(
     """
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.cluster import Cluster
-    from tetractl.run.executors import on_this_machine
+    from tetractl.run.executors import local_executor
     from tetractl.study.missing_trials import warm_up_arms
     from tetractl.view.terminal.progress import StudyProgress
 
@@ -133,7 +133,7 @@ def _run_tasks(
         processors = os.cpu_count() or 1
         if hasattr(os, "sched_getaffinity"):  # Linux only
             processors = len(os.sched_getaffinity(0))
-        chosen = nullcontext(on_this_machine(jobs or processors, len(tasks), interrupt))
+        chosen = nullcontext(local_executor(jobs or processors, len(tasks), interrupt))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
     with chosen as executor:
         if not quiet:

@@ -173,7 +173,7 @@ def run_command(
 
 def _list_planned(store: "Store", only_trial: int | None) -> list[int]:
     """Return the numbers of the trials that are to be run."""
-    return store.lacking if only_trial is None else [only_trial]
+    return store.unfinished if only_trial is None else [only_trial]
 
 
 def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
@@ -256,7 +256,10 @@ def stop_on_signals(
     gc.freeze()  # exempts the compiler's objects from garbage collection
     interrupt = Interrupt(create_signal_notice(STOPPING_NOTICE))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
-    with hang_up_without_reader(lab, options.unattended), interrupt.watch(robots=lab or by_keys):
+    with (
+        hang_up_without_reader(lab, options.unattended),
+        interrupt.watch(robots_move=lab or by_keys),
+    ):
         yield interrupt
 
 
@@ -310,7 +313,7 @@ def _prepare_in_lab(
     trial, unless `yes`. If `unattended`, a closed terminal does not stop the robots.
     """
     from tetractl.core.protocols import LabSupervision
-    from tetractl.run.executors import Here
+    from tetractl.run.executors import InProcessExecutor
     from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
@@ -326,7 +329,7 @@ def _prepare_in_lab(
         watch = LabWatch(
             stop_console, console, experiment.units.length, has_screen and key.listening
         )
-        yield Here(interrupt, [watch, *viewers], supervision), watch
+        yield InProcessExecutor(interrupt, [watch, *viewers], supervision), watch
 
 
 @contextmanager
@@ -334,11 +337,11 @@ def _prepare_on_screen(
     console: "Console", interrupt: Interrupt, viewers: "Sequence[Observer]"
 ) -> "Iterator[tuple[Executor, RunObserver]]":
     """Prepare trials in this process: yield the object that runs them, and a live view of each."""
-    from tetractl.run.executors import Here
+    from tetractl.run.executors import InProcessExecutor
     from tetractl.view.terminal.live_screen import LiveView
 
     with LiveView(console) as view:
-        yield Here(interrupt, [view, *viewers]), view
+        yield InProcessExecutor(interrupt, [view, *viewers]), view
 
 
 @contextmanager
@@ -363,12 +366,12 @@ def prepare_in_lines(
     Yields:
         The object that runs the trials, and the object that prints the lines.
     """
-    from tetractl.run.executors import Here, on_this_machine
+    from tetractl.run.executors import InProcessExecutor, local_executor
     from tetractl.view.terminal.progress import BatchProgress
 
-    executor = on_this_machine(jobs, count, interrupt)
+    executor = local_executor(jobs, count, interrupt)
     if viewers:
-        executor = Here(interrupt, viewers)
+        executor = InProcessExecutor(interrupt, viewers)
     with BatchProgress(console, count, unit) as progress:
         yield executor, progress
 

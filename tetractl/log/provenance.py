@@ -2,7 +2,7 @@
 
 host_facts        the facts at the start of a log. They consist of these sets, whose keys differ:
   process         started, pid
-  CODE            a hash by which a study recognises the trials of its own code
+  TRIAL_CODE_KEY  a hash by which a study recognises the trials of its own code
   host            the machine
   versions        python, tetractl, libraries, and a hash of the code that decides a step
   git_state       commit and changes, if tetractl runs from a checkout
@@ -28,18 +28,18 @@ from tetractl.tools.cache import compiler_settings
 from tetractl.tools.cache import digest as cache_name
 from tetractl.tools.children import run_tool
 
-COMPUTING = ("numpy", "numba", "llvmlite", "scipy")
-PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
+COMPUTING_PACKAGES = ("numpy", "numba", "llvmlite", "scipy")
+PACKAGES = (*COMPUTING_PACKAGES, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
 """Packages whose version may change a result or its log. Logs contain these versions."""
 
-CODE = "trial_code"
+TRIAL_CODE_KEY = "trial_code"
 """Key of the hash `trial_code` in the facts of a log.
 
 It covers all code that determines a simulated trial and its log.
 """
 
-DECISION_CODE = "code"
-"""Key of the hash of the code that determines a decision (DECIDING)."""
+DECISION_CODE_KEY = "code"
+"""Key of the hash of the code that determines a decision (DECISION_PARTS)."""
 
 FILES_MAX = 200
 """Maximum number of changed files, and of untracked files, that a log names.
@@ -47,20 +47,20 @@ FILES_MAX = 200
 A checkout with many local changes therefore makes no large logs.
 """
 VERSION_KEYS = frozenset(
-    {"python", "tetractl", DECISION_CODE, CODE, "git_commit", "git_dirty", *PACKAGES}
+    {"python", "tetractl", DECISION_CODE_KEY, TRIAL_CODE_KEY, "git_commit", "git_dirty", *PACKAGES}
 )
 """Keys of the facts of a log that name versions of code."""
 
-PLUGIN = "package."
+PLUGIN_PREFIX = "package."
 """Prefix of the keys for packages that provide a kind used by the spec.
 
 The value is the version.
 """
 
-DECIDING = ("control", "model")
+DECISION_PARTS = ("control", "model")
 """The parts of tetractl that determine a decision."""
 
-TRIAL_CODE = (
+TRIAL_CODE_PARTS = (
     "core",
     "tools",
     "spec",
@@ -73,10 +73,11 @@ TRIAL_CODE = (
 )
 """The parts of tetractl that determine the content of a simulated trial's log."""
 
-HERE = Path(__file__).parents[1]
+PACKAGE_FOLDER = Path(__file__).parents[1]
+"""Folder of the package tetractl."""
 
 
-def now() -> str:
+def utc_now() -> str:
     """Return the present date and time (UTC) in ISO 8601, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
@@ -88,7 +89,7 @@ def host() -> Mapping[str, str]:
         "host": socket.gethostname(),
         "os": platform.platform(),
         "machine": machine(),
-        "cpu": _cpu(),
+        "cpu": _processor_name(),
         "numba_settings": compiler_settings(),
         "cpus": str(os.cpu_count() or 0),
     }
@@ -110,7 +111,7 @@ def versions() -> Mapping[str, str]:
     facts = {
         "python": platform.python_version(),
         "tetractl": __version__,
-        DECISION_CODE: cache_name(_sources(DECIDING)),
+        DECISION_CODE_KEY: cache_name(_source_files(DECISION_PARTS)),
         **{name: metadata.version(name) for name in PACKAGES},
     }
     return MappingProxyType(facts)
@@ -120,17 +121,19 @@ def versions() -> Mapping[str, str]:
 def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     """Compute 12 hex digits that identify all code that affects a simulated trial and its log.
 
-    This code consists of the source files of TRIAL_CODE, the numerical libraries (by their
+    This code consists of the source files of TRIAL_CODE_PARTS, the numerical libraries (by their
     versions), and `packages`: name and version of each package that provides a kind used by the
     spec, with its source files.
     """
-    sources = _sources(TRIAL_CODE).union(*(package_files(name) for name, _ in packages))
-    computing = [(name, metadata.version(name)) for name in COMPUTING]
+    sources = _source_files(TRIAL_CODE_PARTS).union(*(package_files(name) for name, _ in packages))
+    computing = [(name, metadata.version(name)) for name in COMPUTING_PACKAGES]
     return cache_name(sources, repr([*computing, *packages]))
 
 
-def _sources(parts: Iterable[str]) -> set[Path]:
-    return {file for part in parts for file in (HERE / part).rglob("*.py")}
+def _source_files(subpackages: Iterable[str]) -> set[Path]:
+    return {
+        file for subpackage in subpackages for file in (PACKAGE_FOLDER / subpackage).rglob("*.py")
+    }
 
 
 def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
@@ -140,9 +143,9 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
     """
     by_name = tuple(sorted(packages.items()))
     return {
-        "started": now(),
+        "started": utc_now(),
         "pid": str(os.getpid()),
-        CODE: trial_code(by_name),
+        TRIAL_CODE_KEY: trial_code(by_name),
         **host(),
         **versions(),
         **git_state(),
@@ -152,12 +155,12 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
     """Return the versions of the packages that provide kinds, under the keys used in a log."""
-    return {PLUGIN + name: version for name, version in packages.items()}
+    return {PLUGIN_PREFIX + name: version for name, version in packages.items()}
 
 
 def is_version(key: str) -> bool:
     """Check whether a key of a log's host facts names a version of code."""
-    return key in VERSION_KEYS or key.startswith(PLUGIN)
+    return key in VERSION_KEYS or key.startswith(PLUGIN_PREFIX)
 
 
 @cache
@@ -173,18 +176,18 @@ def environment() -> str:
         "host": dict(host()),
         "versions": {**versions(), **git_state()},
         "python": sys.version,
-        "packages": _installed(),
+        "packages": _installed_packages(),
     }
     if git_state().get("git_dirty") == "true":
         facts |= _local_changes()
     return json.dumps(facts, indent=1) + "\n"
 
 
-def _installed() -> dict[str, str]:
+def _installed_packages() -> dict[str, str]:
     """Return name and version of each installed package, sorted by name."""
     # read once: each access to `metadata` reads a file
     installed = [distribution.metadata for distribution in metadata.distributions()]
-    packages = {about["Name"]: about["Version"] for about in installed if about["Name"]}
+    packages = {package["Name"]: package["Version"] for package in installed if package["Name"]}
     return {name: packages[name] for name in sorted(packages, key=str.lower)}
 
 
@@ -223,13 +226,13 @@ def _git(*arguments: str) -> str | None:
     The result is None if git fails.
     """
     try:
-        done = run_tool(["git", "-C", str(HERE), *arguments], patience_s=5.0)
+        process = run_tool(["git", "-C", str(PACKAGE_FOLDER), *arguments], patience_s=5.0)
     except OSError:
         return None
-    return done.stdout.decode(errors="replace") if done.returncode == 0 else None
+    return process.stdout.decode(errors="replace") if process.returncode == 0 else None
 
 
-def _cpu() -> str:
+def _processor_name() -> str:
     """Return the processor's name.
 
     The kernel's name is preferred, because `platform` is less exact.

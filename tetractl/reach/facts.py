@@ -1,4 +1,4 @@
-"""Collect what a spec shows about steering its robots together, as a table and as JSON."""
+"""Collect facts about steering the robots of a spec together, as a table and as JSON."""
 
 from typing import Any
 
@@ -14,22 +14,22 @@ def most_similar(setup: Setup) -> tuple[int, int] | None:
     """Find the two robots with the most similar turning rates a.
 
     Returns:
-        The index of the slower and of the faster one. None for a single robot.
+        The indices of the slower and of the faster robot. None for a single robot.
     """
     order = np.argsort(setup.a, kind="stable")
     if len(order) < 2:
         return None
-    gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
-    first = int(np.argmin(gaps))
-    slower, faster = order[first : first + 2].tolist()
+    relative_gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
+    closest = int(np.argmin(relative_gaps))
+    slower, faster = order[closest : closest + 2].tolist()
     return slower, faster
 
 
 def facts_table(experiment: Experiment) -> Table | None:
-    """Create the table of what is known about a spec before a trial.
+    """Create the table of facts about a spec that are known before a trial.
 
     Returns:
-        The table. None if robots are still to be found, as in a dish.
+        The table. None if each trial finds its own robots, as in a dish.
     """
     if experiment.open:
         return None
@@ -38,32 +38,35 @@ def facts_table(experiment: Experiment) -> Table | None:
     reached = reach(experiment)
     if reached:
         facts.append(("reach of the signal", str(reached)))
-    pair = most_similar(setup)
-    if pair:
-        names = ", ".join(setup.names[robot] for robot in pair)
+    similar_robots = most_similar(setup)
+    if similar_robots:
+        names = ", ".join(setup.names[robot] for robot in similar_robots)
         facts.append(
-            ("smallest difference of a", f"{100 * _difference(setup, *pair):.3g} % ({names})")
+            (
+                "smallest difference of a",
+                f"{100 * _difference(setup, *similar_robots):.3g} % ({names})",
+            )
         )
     if setup.hold is not None and not setup.on_wheels:
         radii = setup.speed / setup.a.min()
-        circles = [f"{name} {r:.3g}" for name, r in zip(setup.names, radii, strict=True)]
+        circles = [f"{name} {radius:.3g}" for name, radius in zip(setup.names, radii, strict=True)]
         facts.append((f"radii of the smallest circles [{setup.unit}]", ", ".join(circles)))
     title = f"{setup.name}: {len(setup.names)} {pluralize('robot', len(setup.names))}"
     return Table.of_texts(title, ("figure", "value"), facts)
 
 
 def facts_items(experiment: Experiment) -> dict[str, Any]:
-    """List what the signal can reach, and the two most similar robots, as items of a JSON object.
+    """Return the facts about a spec as JSON items: the signal's reach and the most similar robots.
 
     `reach` and `smallest_difference` are None and `most_similar` is empty if they are unknown.
     """
     reached = reach(experiment)
-    pair = None if experiment.open else most_similar(experiment.setup)
+    similar_robots = None if experiment.open else most_similar(experiment.setup)
     setup = experiment.setup
     return {
         "reach": reached.fields if reached else None,
-        "most_similar": [setup.names[robot] for robot in pair] if pair else [],
-        "smallest_difference": _difference(setup, *pair) if pair else None,
+        "most_similar": [setup.names[robot] for robot in similar_robots] if similar_robots else [],
+        "smallest_difference": _difference(setup, *similar_robots) if similar_robots else None,
     }
 
 

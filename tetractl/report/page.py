@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError, unit_of
-from tetractl.log.read.find import without_others
+from tetractl.log.read.find import without_other_files
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.html_page import THEME, FramedPage, asset, html_page, script_json
-from tetractl.report.trial_data import packed, trial_data
+from tetractl.report.trial_data import pack_trial, trial_data
 from tetractl.statistics.as_json import comparison_items
 from tetractl.statistics.describe import BatchComparison, BatchStatistics, contrast, describe
 from tetractl.statistics.flagged import SAFETY
-from tetractl.statistics.open_batch import Source, counts, sources
+from tetractl.statistics.open_batch import Source, find_sources, is_counted
 from tetractl.statistics.tables import (
     decimals_shown,
     differences_table,
@@ -36,17 +36,17 @@ from tetractl.tools.table.table import UNKNOWN_TEXT, Column, Table
 from tetractl.tools.table.table_files import convert_to_plain
 from tetractl.tools.table.terminal_table import format_html
 
-COMPLETE_MAX = 100
+COMPLETE_TRIALS_MAX = 100
 """Maximum number of trials for a page that contains all trials with their plans and searches."""
-CARRIED_MAX = 61
+CARRIED_TRIALS_MAX = 61
 """Approximate number of trials on a page that cannot contain all trials.
 
 They are shown without plans and searches, so that the page stays below 5 MB. The tables on the page
 have all trials.
 """
-CARRIED_MIN = 3
+CARRIED_PER_BATCH_MIN = 3
 """Minimum number of trials of a batch that the page contains."""
-NOTE_OF_SELECTION = (
+SELECTION_NOTE = (
     "<p>This page contains {} of {} trials, without their plans and searches. From "
     "each batch, it has trials at evenly spaced ranks of the total error, from the "
     "best to the worst, and some trials that do not count in the means. The tables "
@@ -70,7 +70,7 @@ SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "chart.js", "player.j
 
 @dataclass(frozen=True, slots=True)
 class _CarriedTrial:
-    """A trial whose data is in the page: its log's path, its name in the player, and the data."""
+    """A trial that the page contains: the path of its log, its name in the player, and its data."""
 
     path: str
     name: str
@@ -97,36 +97,36 @@ def report(
     """
     groups, unread = _read_batches(paths, progress)
     log_count = sum(len(group.batch.logs) for group in groups)
-    complete = log_count <= COMPLETE_MAX
-    carried = _CarriedLogs(complete)
+    contains_all = log_count <= COMPLETE_TRIALS_MAX
+    carried = _CarriedLogs(contains_all)
     for group in groups:
         carried.add(group, len(groups))
     trials = carried.trials
-    first = carried.first
-    numbers = {trial.path: number for number, trial in enumerate(trials, 1)}
+    first_log = carried.first
+    number_by_log = {trial.path: number for number, trial in enumerate(trials, 1)}
     experiments = dict.fromkeys(group.experiment.name for group in groups)
     is_study = len(paths) == 1 and len(groups) > 1
     name = title or (paths[0].resolve().name if is_study else ", ".join(experiments))
-    compared = contrast(groups)
-    parts = [_header_html(name, compared, numbers)]
-    if first is not None:
-        note = "" if complete else NOTE_OF_SELECTION.format(len(trials), log_count)
-        parts.append(_player_html(trials, groups[0].unit, note))
+    comparison = contrast(groups)
+    sections = [_header_html(name, comparison, number_by_log)]
+    if first_log is not None:
+        note = "" if contains_all else SELECTION_NOTE.format(len(trials), log_count)
+        sections.append(_player_html(trials, groups[0].unit, note))
     if carried.errors:
-        parts.append(f"<section><h2>Errors</h2>{carried.errors}</section>")
-    parts.append(_statistics_html(compared, numbers))
-    if first is not None:
-        figures = figures_of_trial(first)
-        parts.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
-        parts.append(_provenance_html(first))
-    page = html_page(name, "".join(parts), SCRIPTS if trials else ())
+        sections.append(f"<section><h2>Errors</h2>{carried.errors}</section>")
+    sections.append(_statistics_html(comparison, number_by_log))
+    if first_log is not None:
+        figures = figures_of_trial(first_log)
+        sections.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
+        sections.append(_provenance_html(first_log))
+    page = html_page(name, "".join(sections), SCRIPTS if trials else ())
     return page, [*unread, *carried.unread]
 
 
 def player(logs: Sequence[TrialLog]) -> FramedPage:
     """Create a page that plays recorded trials, in their order.
 
-    If there are more than MANY, they are shown without plans and searches. The title names the
+    More than COMPLETE_TRIALS_MAX trials are shown without plans and searches. The title names the
     experiment and the origin of the first trial.
     """
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
@@ -134,10 +134,10 @@ def player(logs: Sequence[TrialLog]) -> FramedPage:
     trials: list[_CarriedTrial] = []
     for log in logs:
         name = Path(log.log).name
-        data = trial_data(log, name, len(logs) <= COMPLETE_MAX)
+        data = trial_data(log, name, len(logs) <= COMPLETE_TRIALS_MAX)
         trials.append(_CarriedTrial(log.log, name, data))
-    parts = header + _player_html(trials, logs[0].experiment.units.length)
-    body = f'<div class="framed">{parts}</div>'
+    contents = header + _player_html(trials, logs[0].experiment.units.length)
+    body = f'<div class="framed">{contents}</div>'
     return FramedPage(html_page(title, body, SCRIPTS), PLAYER_PX)
 
 
@@ -164,17 +164,17 @@ class _CarriedLogs:
         self.first: TrialLog | None = None
         self.unread: list[str] = []
 
-    def add(self, group: BatchStatistics, groups: int) -> None:
+    def add(self, group: BatchStatistics, group_count: int) -> None:
         """Read the logs of one batch, and add their data.
 
         A log that cannot be read is left out, and its error is added to `unread`.
 
         Args:
             group: The batch.
-            groups: Number of batches on the page.
+            group_count: Number of batches on the page.
         """
         logs: list[TrialLog] = []
-        for path in group.batch.logs if self._complete else logs_to_carry(group, groups):
+        for path in group.batch.logs if self._complete else logs_to_carry(group, group_count):
             try:
                 log = read_trial(path)
             except LogError as error:
@@ -182,16 +182,16 @@ class _CarriedLogs:
                 continue
             self.first = self.first or log
             logs.append(without_details(log))
-            name = f"{group.name}, {path.name}" if groups > 1 else path.name
+            name = f"{group.name}, {path.name}" if group_count > 1 else path.name
             data = trial_data(log, path.name, self._complete)
             self.trials.append(_CarriedTrial(str(path), name, data))
-        descriptions = [group.name] if groups > 1 else []
+        descriptions = [group.name] if group_count > 1 else []
         if not self._complete:
             descriptions.append(f"the {len(logs)} trials on this page")
         self.errors += errors_over_time(", ".join(descriptions), logs)
 
 
-def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
+def logs_to_carry(group: BatchStatistics, group_count: int) -> list[Path]:
     """Select which logs of a batch go into a page that cannot contain all of them.
 
     These are trials at evenly spaced ranks of the total error, from the best to the worst, and some
@@ -199,16 +199,18 @@ def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
 
     Args:
         group: The batch.
-        groups: Number of batches on the page.
+        group_count: Number of batches on the page.
 
     Returns:
         The logs, in the order of the trials.
     """
     logs = set(group.batch.logs)
     logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
-    trials_max = max(CARRIED_MIN, CARRIED_MAX // groups)
-    not_counted = [trial for trial in logged if not counts(trial)][: trials_max // EXCLUDED_RATIO]
-    counted = [trial for trial in logged if counts(trial)]
+    trials_max = max(CARRIED_PER_BATCH_MIN, CARRIED_TRIALS_MAX // group_count)
+    not_counted = [trial for trial in logged if not is_counted(trial)][
+        : trials_max // EXCLUDED_RATIO
+    ]
+    counted = [trial for trial in logged if is_counted(trial)]
     counted.sort(key=lambda trial: trial.result.total_error)
     counted_max = trials_max - len(not_counted)
     if len(counted) > counted_max:
@@ -230,14 +232,14 @@ def _read_batches(
     Raises:
         LogError: If no log can be read.
     """
-    paths = without_others(paths)
+    paths = without_other_files(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single_logs = [str(path) for path in paths if not path.is_dir()]
     listed: list[Source] = []
     if single_logs:
-        listed += sources(single_logs)
+        listed += find_sources(single_logs)
     if folders:
-        listed += sources(folders)
+        listed += find_sources(folders)
     batches = [source.read(progress) for source in listed]
     unread = [f"{log.log}: {log.problem}" for batch in batches for log in batch.lost]
     if not any(batch.trials for batch in batches):
@@ -254,27 +256,27 @@ def _read_batches(
 # ---- Parts of the page ----
 
 
-def _header_html(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
+def _header_html(title: str, comparison: BatchComparison, number_by_log: Mapping[str, int]) -> str:
     """Compose the page's head: title, results, verdicts, and a figure of all errors.
 
-    Verdicts are left out if there are more than COMPARED_MOST comparisons.
+    Verdicts are left out if there are more than CONTRASTS_MAX comparisons.
     """
-    groups = compared.groups
+    groups = comparison.groups
     description = escape(groups[0].experiment.description)
     tables_at_top = [_overview_table(groups)]
-    if 0 < len(compared.contrasts) <= CONTRASTS_MAX:
-        tables_at_top.append(differences_table(compared.contrasts))
+    if 0 < len(comparison.contrasts) <= CONTRASTS_MAX:
+        tables_at_top.append(differences_table(comparison.contrasts))
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{description}</p></div>"
         f"{THEME}</header>"
-        f'<div class="top">{_tables_html(tables_at_top)}{total_errors(groups, numbers)}</div>'
+        f'<div class="top">{_tables_html(tables_at_top)}{total_errors(groups, number_by_log)}</div>'
     )
 
 
 def _overview_table(groups: Sequence[BatchStatistics]) -> Table:
     """Create a table with one row per batch: mean total error, and the numbers of unsafe trials.
 
-    An unknown interval is shown as NONE.
+    An unknown interval is shown as "-".
     """
     totals = [group.total for group in groups]
     means = [total.mean for total in totals]
@@ -291,7 +293,9 @@ def _overview_table(groups: Sequence[BatchStatistics]) -> Table:
     ]
     texts_of_batches = [texts_by_label(group) for group in groups]
     for label in SAFETY:
-        numbers_of_unsafe = [texts[label].partition(" (")[0] for texts in texts_of_batches]
+        numbers_of_unsafe = [
+            text_by_label[label].partition(" (")[0] for text_by_label in texts_of_batches
+        ]
         columns.append(Column(label, numbers_of_unsafe))
     plants: list[str] = []
     for group in groups:
@@ -319,44 +323,46 @@ def _player_html(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> 
     for index, trial in enumerate(trials):
         name = escape(trial.name)
         options.append(f'<option value="{index}">{index + 1}: {name}</option>')
-        text = packed(trial.data)
-        data_scripts.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
+        packed_trial = pack_trial(trial.data)
+        data_scripts.append(
+            f'<script type="text/plain" id="trial-data-{index}">{packed_trial}</script>\n'
+        )
     # the names are filled in last, because a name may contain the text of a placeholder
     player_html = asset("player.html").replace("@UNIT@", unit_of(unit))
     player_html = player_html.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return player_html + "".join(data_scripts)
 
 
-def _statistics_html(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
+def _statistics_html(comparison: BatchComparison, number_by_log: Mapping[str, int]) -> str:
     """Compose the HTML of the tables of statistics, and the same data as JSON.
 
     Args:
-        compared: The batches.
-        numbers: The number of each trial in the player, by the path of its log. The trial's row
-            links to it.
+        comparison: The batches.
+        number_by_log: The number of each trial in the player, by the path of its log. The trial's
+            row in the table links to the player.
     """
-    links = {str(number): f"#trial-{number}" for number in numbers.values()}
-    parts: list[str] = []
-    for group in compared.groups:
-        name = f": {escape(group.name)}" if len(compared.groups) > 1 else ""
+    links = {str(number): f"#trial-{number}" for number in number_by_log.values()}
+    sections: list[str] = []
+    for group in comparison.groups:
+        name = f": {escape(group.name)}" if len(comparison.groups) > 1 else ""
         tables_of_group = tables(BatchComparison((group,)))
         trials_table = trials_listed(group)
-        number = Column("trial", [numbers.get(trial.log) for trial in group.batch.trials])
+        number = Column("trial", [number_by_log.get(trial.log) for trial in group.batch.trials])
         trials = format_html(
             [replace(trials_table, columns=(number, *trials_table.columns))], links
         )
-        parts.append(
+        sections.append(
             f"<section><h2>Statistics{name}</h2>{_tables_html(tables_of_group)}"
             f"<details open><summary>All trials</summary>{trials}</details></section>"
         )
-    if compared.contrasts:
-        parts.append(f"<section><h2>Comparison</h2>{_tables_html(tables(compared))}</section>")
-    items = convert_to_plain(comparison_items(compared))
+    if comparison.contrasts:
+        sections.append(f"<section><h2>Comparison</h2>{_tables_html(tables(comparison))}</section>")
+    items = convert_to_plain(comparison_items(comparison))
     json_text = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
-    parts.append(
+    sections.append(
         f'<script type="application/json" class="statistics">{script_json(json_text)}</script>\n'
     )
-    return "".join(parts)
+    return "".join(sections)
 
 
 def _tables_html(listed: Sequence[Table]) -> str:
@@ -399,7 +405,9 @@ def figures_of_trial(log: TrialLog) -> str:
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.log).name
-    figures = [_figure_html(kind, [log], f"{kind}, {name}") for kind in TRIAL_FIGURES]
+    figures = [
+        _figure_html(figure_name, [log], f"{figure_name}, {name}") for figure_name in TRIAL_FIGURES
+    ]
     return _side_by_side(figures)
 
 
@@ -416,12 +424,12 @@ def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
     return _side_by_side([_figure_html("errors", with_frames, caption + batch_text)])
 
 
-def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
+def total_errors(groups: Sequence[BatchStatistics], number_by_log: Mapping[str, int]) -> str:
     """Draw all total errors as inline SVG, in which each dot links to its trial.
 
     Args:
         groups: The batches.
-        numbers: The number of each trial on the page, by the path of its log.
+        number_by_log: The number of each trial on the page, by the path of its log.
 
     Returns:
         The HTML. Empty if there are no errors.
@@ -431,7 +439,7 @@ def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) 
 
     if not any(group.counted for group in groups):
         return ""
-    links = {path: f"#trial-{number}" for path, number in numbers.items()}
+    links = {path: f"#trial-{number}" for path, number in number_by_log.items()}
     drawing = svg(batch_figure(groups, links, narrow=True)).decode()
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
@@ -440,20 +448,20 @@ def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) 
     return _side_by_side([_with_caption(drawing, caption)])
 
 
-def _figure_html(kind: str, logs: Sequence[TrialLog], caption: str) -> str:
+def _figure_html(figure_name: str, logs: Sequence[TrialLog], caption: str) -> str:
     """Draw a figure, given by its name such as `errors`, and return its HTML with a caption."""
     from tetractl.view.figures.draw import draw
     from tetractl.view.style import svg
 
-    drawing = draw(kind, logs)
+    drawing = draw(figure_name, logs)
     picture = b64encode(svg(drawing)).decode()
     image = f'<img alt="{escape(caption)}" src="data:image/svg+xml;base64,{picture}">'
     return _with_caption(image, caption)
 
 
-def _with_caption(picture: str, caption: str) -> str:
+def _with_caption(image: str, caption: str) -> str:
     """Return the HTML of an image with its caption."""
-    return f"<figure>{picture}<figcaption>{escape(caption)}</figcaption></figure>"
+    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def _side_by_side(figures: Sequence[str]) -> str:

@@ -14,15 +14,15 @@ from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.plant.sim_section import SimSection
 from tetractl.report.html_page import THEME, FramedPage, asset, html_page, script_json
-from tetractl.report.trial_data import packed, trial_data
+from tetractl.report.trial_data import pack_trial, trial_data
 from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.tools.table.table import pluralize
 
 SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "motion.js", "play.js")
 """The scripts of the page, in the order in which they need each other."""
-MOTIONS = ("exact", "euler")
+KNOWN_MOTIONS = ("exact", "euler")
 """The motions that `assets/motion.js` knows."""
-TRIAL_MAX = 120_000
+TRIAL_CHARACTERS_MAX = 120_000
 """Maximum size of the controller's trial on the page [characters].
 
 A longer trial loses its plans, so that the page stays below 300 kB.
@@ -40,7 +40,7 @@ def play_page(spec: LoadedSpec, log: TrialLog) -> FramedPage:
     """
     experiment = spec.experiment
     world = json.dumps(_world(spec), ensure_ascii=False, allow_nan=False)
-    trial = packed(_controllers_trial(log))
+    trial = pack_trial(_controllers_trial(log))
     body = (
         f"<header><h1>Play: {escape(experiment.name)}</h1>{THEME}</header>{asset('play.html')}"
         f'<script type="application/json" id="world">{script_json(world)}</script>\n'
@@ -57,20 +57,20 @@ def refuse_unknown_motion(spec: LoadedSpec) -> None:
     """
     plant = spec.experiment.plant
     motion = plant.motion if isinstance(plant, SimSection) else plant.type
-    if motion not in MOTIONS:
+    if motion not in KNOWN_MOTIONS:
         raise UsageError(
             f"a web page cannot simulate the motion '{motion}'",
-            f"a page can simulate {' and '.join(MOTIONS)}: give --set plant.motion=exact",
+            f"a page can simulate {' and '.join(KNOWN_MOTIONS)}: give --set plant.motion=exact",
         )
 
 
 def _controllers_trial(log: TrialLog) -> dict[str, Any]:
     """Return the data of the controller's trial for the page, without its history.
 
-    The plans are None if the compressed data would otherwise exceed TRIAL_MAX characters.
+    The plans are None if the compressed data would otherwise exceed TRIAL_CHARACTERS_MAX.
     """
     data = trial_data(log, log.origin) | {"history": None}
-    if len(packed(data)) > TRIAL_MAX:
+    if len(pack_trial(data)) > TRIAL_CHARACTERS_MAX:
         data["plan"] = None
     return data
 

@@ -18,18 +18,18 @@ from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.statistics.built_in_statistics import MEANINGS
-from tetractl.verification.dish_pictures import PICTURES_MAX, DishPictures
+from tetractl.verification.dish_pictures import REPORT_IMAGES_MAX, DishPictures
 from tetractl.view.plan_words import doing, search_end
 from tetractl.view.player import end_ns, first_seen
 
-COARSER = 3
+PLAN_DECIMALS_FEWER = 3
 """Number of decimals that positions in plans have less than measured positions.
 
 The error is at most a thousandth of the arena.
 """
 
 
-def packed(trial: dict[str, Any]) -> str:
+def pack_trial(trial: dict[str, Any]) -> str:
     """Compress the data of a trial by zlib, and return it as base64 text.
 
     NaN and infinite numbers raise a `ValueError`.
@@ -39,7 +39,7 @@ def packed(trial: dict[str, Any]) -> str:
     return base64.b64encode(compressed).decode()
 
 
-def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
+def round_to_lists(values: ArrayLike, decimals: int = 3) -> list[Any]:
     """Round an array, and return it as nested lists. NaN and infinite values become None."""
     numbers = np.asarray(values, dtype=float)
     items = np.round(numbers, decimals).astype(object)
@@ -47,7 +47,7 @@ def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
     return items.tolist()
 
 
-def significant(values: ArrayLike) -> list[float | None]:
+def round_significant(values: ArrayLike) -> list[float | None]:
     """Round values (n,) to four significant digits. NaN and infinite values become None."""
     numbers = np.asarray(values, dtype=float).tolist()
     return [float(f"{number:.4g}") if math.isfinite(number) else None for number in numbers]
@@ -87,7 +87,9 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "end": round(log.elapsed_s(until_ns), 3),
         "final": _final(log, decimals),
         "plan": _plans(log, decimals) if plans else None,
-        "history": [significant(step.plan.search.history) for step in log.steps] if plans else None,
+        "history": [round_significant(step.plan.search.history) for step in log.steps]
+        if plans
+        else None,
         "dish": _dish(log) if plans else None,
         "events": _events(log),
         "outcome": result.outcome.value if result else "the log ends early",
@@ -121,13 +123,13 @@ def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
 
     x, y and heading are None for a robot that a frame does not track.
     """
-    frames = _thinned(log, until_ns)
+    frames = _thin_frames(log, until_ns)
     valid = log.valid[frames]
     heading = np.where(valid, log.mocap[frames, :, 2], np.nan)
     return {
-        "t": rounded(log.frames_s[frames]),
-        "xy": rounded(log.positions[frames], decimals),
-        "heading": rounded(heading),
+        "t": round_to_lists(log.frames_s[frames]),
+        "xy": round_to_lists(log.positions[frames], decimals),
+        "heading": round_to_lists(heading),
     }
 
 
@@ -139,12 +141,12 @@ def _steps(log: TrialLog) -> dict[str, Any]:
     steps = log.steps
     plans = [step.plan for step in steps]
     return {
-        "t": rounded(log.steps_s),
+        "t": round_to_lists(log.steps_s),
         "u": [plan.direction for plan in plans],
         "doing": [doing(plan) for plan in plans],
-        "cost": significant([np.nan if plan.pauses else plan.cost for plan in plans]),
+        "cost": round_significant([np.nan if plan.pauses else plan.cost for plan in plans]),
         "signals": [None if plan.pauses else len(plan.signals) for plan in plans],
-        "solve_ms": significant([step.solve_ns / MILLISECOND for step in steps]),
+        "solve_ms": round_significant([step.solve_ns / MILLISECOND for step in steps]),
         "ended": ["–" if plan.pauses else search_end(plan.search) for plan in plans],
     }
 
@@ -158,8 +160,8 @@ def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
     if result is None:
         return None
     return {
-        "xy": rounded(result.verdict.final.xy, decimals),
-        "errors": rounded(result.robot_errors, decimals),
+        "xy": round_to_lists(result.verdict.final.xy, decimals),
+        "errors": round_to_lists(result.robot_errors, decimals),
         "known": "true" if log.start.plant.simulated else "measured",
     }
 
@@ -167,9 +169,12 @@ def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
 def _plans(log: TrialLog, decimals: int) -> list[Any]:
     """Return the positions (x, y) that the plan of each control step predicted.
 
-    They are rounded to COARSER fewer decimals than `decimals`.
+    They are rounded to `decimals` minus PLAN_DECIMALS_FEWER decimals.
     """
-    return [rounded(step.plan.path[..., :2], decimals - COARSER) for step in log.steps]
+    return [
+        round_to_lists(step.plan.path[..., :2], decimals - PLAN_DECIMALS_FEWER)
+        for step in log.steps
+    ]
 
 
 def _events(log: TrialLog) -> list[dict[str, Any]]:
@@ -177,7 +182,7 @@ def _events(log: TrialLog) -> list[dict[str, Any]]:
     return [{"t": event.time_s, "level": event.level, "text": event.text} for event in log.events]
 
 
-def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
+def _thin_frames(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
     """Select the frames to show, at most `SHOWN_HZ` per second, and return their indices.
 
     No frame is more than one control period before the first direction, or later than `until_ns`.
@@ -189,8 +194,8 @@ def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
     if not len(from_start):
         return np.arange(len(times_ns))
     slots = (times_ns[from_start] - times_ns[from_start[0]]) * SHOWN_HZ // 1e9
-    first = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
-    return from_start[np.union1d(first, [len(from_start) - 1])]
+    first_of_slot = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
+    return from_start[np.union1d(first_of_slot, [len(from_start) - 1])]
 
 
 def _dish(log: TrialLog) -> dict[str, Any] | None:
@@ -198,12 +203,12 @@ def _dish(log: TrialLog) -> dict[str, Any] | None:
 
     The result is None if the log has no images.
     """
-    pictures = DishPictures(log, PICTURES_MAX)
+    pictures = DishPictures(log, REPORT_IMAGES_MAX)
     if not pictures.times_ns:
         return None
     files = map(pictures.jpeg, range(len(pictures.times_ns)))
     return {
-        "t": rounded([log.elapsed_s(time_ns) for time_ns in pictures.times_ns]),
+        "t": round_to_lists([log.elapsed_s(time_ns) for time_ns in pictures.times_ns]),
         "corners": pictures.corners.tolist(),
         "jpeg": [base64.b64encode(data).decode() for data in files],
     }

@@ -13,7 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.trial import EMULATED_PLANT, Result
 from tetractl.run.executors import Executor
 from tetractl.run.store import Store
-from tetractl.run.task import Finished, OtherCodeError, Task
+from tetractl.run.task import FinishedTrial, OtherCodeError, Task
 from tetractl.spec.plant import PlantSection
 
 
@@ -25,20 +25,20 @@ class Ending:
         task: The trial.
         result: Its result. None if the trial has no outcome.
         failure: Why the trial was aborted or has no result, in one line. None if it did not fail.
-        left_s: Estimated time for the remaining trials [s]. None until a trial has been timed.
-        every_arm: Whether a trial of each arm has been timed. The trials of some arms take far
-            longer than those of others.
+        remaining_s: Estimated time for the remaining trials [s]. None until a trial has been timed.
+        has_time_of_each_arm: Whether a trial of each arm has been timed. The trials of some arms
+            take far longer than the trials of others.
     """
 
     task: Task
     result: Result | None
     failure: str | None
-    left_s: float | None
-    every_arm: bool = True
+    remaining_s: float | None
+    has_time_of_each_arm: bool = True
 
 
 class RunObserver(Protocol):
-    """An object that is notified when trials start and end; trials may end in any order.
+    """An object that is notified when trials start and end. Trials may end in any order.
 
     A method that a subclass does not define does nothing.
     """
@@ -59,17 +59,17 @@ class Report:
     Attributes:
         results: The result of each trial that has one, by the name of its arm and its index.
         errors: The errors of the other trials that were run, by the same keys.
-        left: Number of trials that have neither a result nor an error.
+        remaining: Number of trials that have neither a result nor an error.
     """
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
-    left: int = 0
+    remaining: int = 0
 
     @property
     def interrupted(self) -> bool:
         """Whether any trial was interrupted, by Ctrl-C or another signal."""
-        return any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
+        return any(result.outcome is Outcome.INTERRUPTED for result in self.results.values())
 
     @property
     def aborted(self) -> dict[tuple[str, int], Result]:
@@ -101,9 +101,8 @@ class OnFailure(Enum):
         Args:
             plant: The section of the plant.
             keep_going: Whether the batch continues after an abort. By default, it continues in an
-                emulated lab that does not run in real time, where every trial has its own lab,
-                with the
-                robots at their starts.
+                emulated lab that does not run in real time, because every trial there has its own
+                lab, with the robots at their starts.
         """
         if keep_going is None:
             keep_going = plant.type == EMULATED_PLANT and not plant.real_time
@@ -117,26 +116,28 @@ class TrialTimes:
     """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
-        self._left = Counter(task.arm for task in tasks)
-        self._timed = Counter[str]()
-        self._spent_s = dict.fromkeys(self._left, 0.0)
+        self._remaining = Counter(task.arm for task in tasks)
+        self._timed_count = Counter[str]()
+        self._spent_s = dict.fromkeys(self._remaining, 0.0)
 
-    def note_end(self, arm: str, wall_s: float | None) -> None:
-        """Count the end of a trial of an arm.
+    def record_end(self, arm: str, wall_s: float | None) -> None:
+        """Record that a trial of an arm has ended.
 
-        `wall_s` is its wall time [s], None without a result.
+        Args:
+            arm: Name of the arm.
+            wall_s: Wall time of the trial [s]. None if the trial has no result.
         """
-        self._left[arm] -= 1
+        self._remaining[arm] -= 1
         if wall_s is not None:
-            self._timed[arm] += 1
+            self._timed_count[arm] += 1
             self._spent_s[arm] += wall_s
 
     @property
-    def of_every_arm(self) -> bool:
-        """Whether the duration of at least one trial of each arm is known."""
-        return all(self._timed[arm] for arm in self._left)
+    def has_each_arm(self) -> bool:
+        """Whether the wall time of at least one trial of each arm is known."""
+        return all(self._timed_count[arm] for arm in self._remaining)
 
-    def left_s(self, workers: int) -> float | None:
+    def remaining_s(self, workers: int) -> float | None:
         """Estimate how long the remaining trials take [s].
 
         The result is None before any trial was timed.
@@ -147,13 +148,15 @@ class TrialTimes:
         Args:
             workers: Number of trials that run at the same time.
         """
-        if not self._timed:
+        if not self._timed_count:
             return None
-        mean_s = sum(self._spent_s.values()) / self._timed.total()
+        mean_s = sum(self._spent_s.values()) / self._timed_count.total()
         left_s = 0.0
-        for arm, count in self._left.items():
-            of_arm_s = self._spent_s[arm] / self._timed[arm] if self._timed[arm] else mean_s
-            left_s += count * of_arm_s
+        for arm, remaining_count in self._remaining.items():
+            arm_mean_s = (
+                self._spent_s[arm] / self._timed_count[arm] if self._timed_count[arm] else mean_s
+            )
+            left_s += remaining_count * arm_mean_s
         return left_s / workers
 
 
@@ -169,46 +172,48 @@ def run_batch(
     Args:
         tasks: The trials to run.
         store: The folder of their logs.
-        executor: What runs the trials, one by one or several at a time.
-        observer: It is notified when a trial starts and ends.
+        executor: Runs the trials, one by one or several at a time.
+        observer: Is notified when a trial starts and ends.
         on_failure: Whether a trial that is aborted or has no outcome ends the run.
 
     Raises:
         OtherCodeError: If the code on a worker differs from the code of this process.
     """
-    report = Report(left=len(tasks))
+    report = Report(remaining=len(tasks))
     times = TrialTimes(tasks)
 
     def start_task(task: Task) -> Path:
         observer.trial_started(task)
-        return store.place(*task.key)
+        return store.prepare_folder(*task.key)
 
-    with closing(executor.run(tasks, start_task)) as ended:
-        for task, ended_by in ended:
+    with closing(executor.run(tasks, start_task)) as task_ends:
+        for task, outcome in task_ends:
             result = failure = None
-            report.left -= 1
-            if isinstance(ended_by, OtherCodeError):
+            report.remaining -= 1
+            if isinstance(outcome, OtherCodeError):
                 executor.end()
-                raise ended_by
-            if isinstance(ended_by, Finished):
-                store.add(*task.key)
-                report.results[task.key] = result = ended_by.result
+                raise outcome
+            if isinstance(outcome, FinishedTrial):
+                store.add_result(*task.key)
+                report.results[task.key] = result = outcome.result
                 if result.outcome is Outcome.ABORTED:
                     failure = f"aborted: {result.reason}"
             else:
-                report.errors[task.key] = ended_by
-                failure = _one_line(ended_by)
+                report.errors[task.key] = outcome
+                failure = one_line_message(outcome)
             if failure is not None and on_failure.ends_run(result):
                 executor.end()
-            times.note_end(task.arm, ended_by.wall_s if isinstance(ended_by, Finished) else None)
-            left_s = times.left_s(executor.workers)
-            observer.trial_ended(Ending(task, result, failure, left_s, times.of_every_arm))
+            times.record_end(
+                task.arm, outcome.wall_s if isinstance(outcome, FinishedTrial) else None
+            )
+            left_s = times.remaining_s(executor.workers)
+            observer.trial_ended(Ending(task, result, failure, left_s, times.has_each_arm))
     return report
 
 
-def _one_line(error: Exception) -> str:
-    """Return an error's message in one line, after the class of an unexpected error."""
+def one_line_message(error: Exception) -> str:
+    """Return an error's message in one line. An unexpected error's class comes before it."""
     if isinstance(error, TetractlError):
         return " ".join(error.message.split())
-    words = str(error).split()
-    return f"{type(error).__name__}: {' '.join(words)}"
+    message_words = str(error).split()
+    return f"{type(error).__name__}: {' '.join(message_words)}"

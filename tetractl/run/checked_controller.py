@@ -29,12 +29,16 @@ It is a quarter of the size of the largest chunk of a log that is read (`CHUNK_M
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":
-    """Create the controller of one trial, with `key` as its seed.
+    """Create the controller of one trial.
 
-    In virtual time, its timer counts the work of searches.
+    In virtual time, the controller's timer counts the work of its searches instead of seconds.
+
+    Args:
+        experiment: The experiment.
+        key: Seed of the controller's random numbers.
     """
-    work = WorkClock()
-    host = ALONE if experiment.plant.real_time else Host(work.wrap, work)
+    work_clock = WorkClock()
+    host = ALONE if experiment.plant.real_time else Host(work_clock.wrap, work_clock)
     return CheckedController(experiment.controller, experiment.setup, key, host)
 
 
@@ -56,9 +60,11 @@ class CheckedController:
     ) -> None:
         self._section = section
         self._setup = setup
-        self._legs = len(setup.legs)
-        self._ours = type(section).__module__.startswith("tetractl.")
-        self.controller = section.build(setup if self._ours else copy.deepcopy(setup), key, host)
+        self._leg_count = len(setup.legs)
+        self._is_built_in = type(section).__module__.startswith("tetractl.")
+        self.controller = section.build(
+            setup if self._is_built_in else copy.deepcopy(setup), key, host
+        )
 
     def plan(
         self,
@@ -73,20 +79,21 @@ class CheckedController:
         """
         decision: Any = self.controller.plan(observation, last_command, earlier)
         try:
-            return self._checked(decision)
+            return self._check_decision(decision)
         except ValueError as error:
-            text = f"a {type(decision).__name__} that cannot be used: {error}"
-            who = f"controller '{self._section.type}'"
-            raise WrongValueError(who, text) from None
+            message = f"a {type(decision).__name__} that cannot be used: {error}"
+            controller_name = f"controller '{self._section.type}'"
+            raise WrongValueError(controller_name, message) from None
 
-    def _checked(self, decision: Any) -> Decision:
+    def _check_decision(self, decision: Any) -> Decision:
+        """Check that a decision can be sent and logged. Raises ValueError if it cannot."""
         if isinstance(decision, Outcome):
-            return _outcome(decision)
+            return _check_outcome(decision)
         if not isinstance(decision, Plan | End):
             raise ValueError("it is not a Plan, an Outcome or an End")
         checked: Plan | End = decision
-        if not self._ours:
-            checked = _made(Plan if isinstance(decision, Plan) else End, decision)
+        if not self._is_built_in:
+            checked = _convert_record(Plan if isinstance(decision, Plan) else End, decision)
         if isinstance(checked, Plan):
             check_plan(checked, len(self._setup.names))
             for search in checked.searches:
@@ -95,8 +102,10 @@ class CheckedController:
                         f"a search has {search.evaluations} evaluations, but the number must be "
                         "from 0 to 2^63 - 1"
                     )
-            searched = sum(search.signals.size + search.history.size for search in checked.searches)
-            if checked.signals.size + checked.path.size + searched > PLAN_SIZE_MAX:
+            search_number_count = sum(
+                search.signals.size + search.history.size for search in checked.searches
+            )
+            if checked.signals.size + checked.path.size + search_number_count > PLAN_SIZE_MAX:
                 raise ValueError(
                     f"its plan has more than {PLAN_SIZE_MAX} numbers in its "
                     "signals, path and searches, too many to log"
@@ -106,7 +115,7 @@ class CheckedController:
                     f"its field chosen is {checked.chosen}, but there are "
                     f"{len(checked.searches)} searches"
                 )
-            if not (0 <= checked.leg <= self._legs and 0 <= checked.generator < 1 << 64):
+            if not (0 <= checked.leg <= self._leg_count and 0 <= checked.generator < 1 << 64):
                 raise ValueError(
                     f"its field leg is {checked.leg}, and generator is {checked.generator}"
                 )
@@ -121,39 +130,39 @@ class _FieldError(ValueError):
     pass
 
 
-def _made(kind: type[Any], source: object) -> Any:
-    """Convert an object to a record of class `kind`, field by field.
+def _convert_record(record_class: type[Any], source: object) -> Any:
+    """Copy the fields of an object into a new record of class `record_class`.
 
     Raises ValueError if a field is missing or has a wrong type.
     """
     values: dict[str, Any] = {}
-    for name, hint in _hints(kind).items():
+    for name, hint in _type_hints(record_class).items():
         try:
-            values[name] = _CONVERT[hint](getattr(source, name))
+            values[name] = _CONVERTERS[hint](getattr(source, name))
         except _FieldError:
             raise
         except Exception as error:  # objects of any class may raise anything
             raise _FieldError(f"{name}: {text_of(error)}") from None
-    return kind(**values)
+    return record_class(**values)
 
 
-_hints = cache(get_type_hints)
+_type_hints = cache(get_type_hints)
 
 
-def _array(value: Any) -> Floats:
+def _to_array(value: Any) -> Floats:
     array = np.asarray(value)
     if array.size > PLAN_SIZE_MAX:
         raise ValueError(f"{array.size} numbers")
     return array.astype(np.float64, casting="same_kind")  # not of text, objects, complex numbers
 
 
-def _outcome(value: Any) -> Outcome:
+def _check_outcome(value: Any) -> Outcome:
     if not (isinstance(value, Outcome) and value.complete):
         raise ValueError(f"{value} is not an Outcome with which a controller can end a trial")
     return value
 
 
-def _instead(value: Any) -> Turn | Stop | FieldOff | None:
+def _to_action(value: Any) -> Turn | Stop | FieldOff | None:
     if not isinstance(value, Turn | Stop | FieldOff | None):
         raise TypeError(f"it is a {type(value).__name__}")
     if value is not None:
@@ -161,20 +170,20 @@ def _instead(value: Any) -> Turn | Stop | FieldOff | None:
     return value
 
 
-def _numbers(value: Any) -> dict[str, float]:
+def _to_numbers(value: Any) -> dict[str, float]:
     return {str(name): float(number) for name, number in value.items()}
 
 
-def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def _optional(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda value: None if value is None else convert(value)
 
 
-_CONVERT: Mapping[Any, Callable[[Any], Any]] = {
-    Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
-    Floats | None: _or_none(_array), float | None: _or_none(float),
+_CONVERTERS: Mapping[Any, Callable[[Any], Any]] = {
+    Floats: _to_array, float: float, int: index, State: State, Outcome: _check_outcome,
+    Floats | None: _optional(_to_array), float | None: _optional(float),
     StopReason | str: stop_reason,
-    tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),
-    Estimate | None: _or_none(lambda estimate: _made(Estimate, estimate)),
-    PredictionErrors | None: _or_none(lambda errors: _made(PredictionErrors, errors)),
-    Turn | Stop | FieldOff | None: _instead, Mapping[str, float]: _numbers,
+    tuple[Search, ...]: lambda searches: tuple(_convert_record(Search, item) for item in searches),
+    Estimate | None: _optional(lambda estimate: _convert_record(Estimate, estimate)),
+    PredictionErrors | None: _optional(lambda errors: _convert_record(PredictionErrors, errors)),
+    Turn | Stop | FieldOff | None: _to_action, Mapping[str, float]: _to_numbers,
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Run the trials of a study on an existing cluster of computers, by the library Dask."""
+"""Run the trials of a study on an existing cluster of computers, with the library Dask."""
 
 import logging
 import queue
@@ -15,14 +15,19 @@ from tetractl.core.errors import AbortError, UsageError
 from tetractl.run.executors import StartTask, TaskEnd
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path
-from tetractl.run.task import Finished, Task, run_task
+from tetractl.run.task import FinishedTrial, Task, run_task
 from tetractl.tools.files import save_whole
 
-TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
-COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]
-TASK_S = 2.0  # duration of a Dask task [s]; a scheduler handles some hundred tasks per second
-LEAST_S = 1e-6  # least mean time of a trial by which the duration is divided [s]
-TASK_TRIALS_MAX = 200  # largest number of trials in a Dask task, whose logs are returned together
+TLS_PREFIX = "DASK_DISTRIBUTED__COMM__TLS"
+"""Prefix of the environment variables that configure Dask's encryption."""
+COUNT_INTERVAL_S = 1.0
+"""Time between two counts of the cluster's workers, whose number may change [s]."""
+TASK_DURATION_S = 2.0
+"""Intended duration of a Dask task [s]. A scheduler handles some hundred tasks per second."""
+MEAN_TRIAL_MIN_S = 1e-6
+"""Minimum mean time of a trial by which the duration of a task is divided [s]."""
+TASK_TRIALS_MAX = 200
+"""Maximum number of trials in a Dask task. All logs of a task are returned together."""
 
 
 class Cluster:
@@ -43,9 +48,9 @@ class Cluster:
     def __init__(self, address: str, interrupt: Interrupt) -> None:
         self._address = address
         self._interrupt = interrupt
-        self._ended = False
+        self._is_ended = False
         self._workers = 1
-        self._count_at_s = 0.0
+        self._next_count_s = 0.0
 
     def __enter__(self) -> Self:
         from distributed import Client
@@ -65,7 +70,8 @@ class Cluster:
                 raise UsageError(
                     f"{self._address}: the address needs TLS, but Dask is configured without "
                     "a certificate",
-                    f"set the variables {TLS}__CA_FILE, {TLS}__CLIENT__CERT and {TLS}__CLIENT__KEY",
+                    f"set the variables {TLS_PREFIX}__CA_FILE, {TLS_PREFIX}__CLIENT__CERT and "
+                    f"{TLS_PREFIX}__CLIENT__KEY",
                 )
             self._client: Client = Client(
                 self._address,
@@ -86,13 +92,16 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """Number of trials that run at the same time, at least 1. It is updated every COUNT_S."""
-        now = time.monotonic()
-        if now >= self._count_at_s and self._connected:
+        """The number of trials that run at the same time, at least 1.
+
+        The number is updated every COUNT_INTERVAL_S.
+        """
+        now_s = time.monotonic()
+        if now_s >= self._next_count_s and self._is_connected:
             with suppress(OSError):  # the connection is lost: `run` raises the error
                 threads: Any = self._client.nthreads()
                 self._workers = max(sum(threads.values()), 1)
-            self._count_at_s = now + COUNT_S
+            self._next_count_s = now_s + COUNT_INTERVAL_S
         return self._workers
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
@@ -101,76 +110,78 @@ class Cluster:
         Raises:
             AbortError: Once the scheduler is gone.
         """
-        # `alone` are tasks of lost Dask tasks, to be submitted one by one
+        # `single_tasks` are tasks of lost Dask tasks, to be submitted one by one
         waiting = deque(tasks)
-        alone = deque[Task]()
+        single_tasks = deque[Task]()
         running = dict[Any, list[tuple[Task, Path]]]()
-        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        done_futures: queue.SimpleQueue[Any] = queue.SimpleQueue()
         wall_s = 0.0
-        count = 0
-        while not (self._ended or self._interrupt.requested):
+        finished_count = 0
+        while not (self._is_ended or self._interrupt.requested):
             # two Dask tasks for each thread, so that none waits, and some without a worker
             window = max(2 * self.workers, 8)
-            while (waiting or alone) and len(running) < window:
-                size = chunk_size(wall_s / count if count else None, len(waiting), window)
-                source, size = (alone, 1) if alone else (waiting, size)
+            while (waiting or single_tasks) and len(running) < window:
+                size = chunk_size(
+                    wall_s / finished_count if finished_count else None, len(waiting), window
+                )
+                source, size = (single_tasks, 1) if single_tasks else (waiting, size)
                 chunk = [source.popleft() for _ in range(size)]
                 future = self._client.submit(_work, chunk, pure=False)
                 running[future] = [(task, start_task(task)) for task in chunk]
-                future.add_done_callback(ended.put)
+                future.add_done_callback(done_futures.put)
             if not running:
                 return
             try:
                 # interval between two checks for an interruption [s]
-                future = ended.get(timeout=0.1)
+                future = done_futures.get(timeout=0.1)
             except queue.Empty:
-                if not self._connected:
-                    raise self._gone() from None
+                if not self._is_connected:
+                    raise self._lost_scheduler_error() from None
                 continue
             submitted = running.pop(future)
-            outcomes = self._found(submitted, future)
+            outcomes = self._collect_outcomes(submitted, future)
             if outcomes is None:
-                alone.extend(task for task, _ in submitted)
+                single_tasks.extend(task for task, _ in submitted)
                 continue
             for (task, _), outcome in zip(submitted, outcomes, strict=True):
-                if isinstance(outcome, Finished):
+                if isinstance(outcome, FinishedTrial):
                     wall_s += outcome.wall_s
-                    count += 1
+                    finished_count += 1
                 yield task, outcome
-        if self._connected:
+        if self._is_connected:
             self._client.cancel(list(running))
 
     def end(self) -> None:
         """Start no further trial, and do not wait for the running ones."""
-        self._ended = True
+        self._is_ended = True
 
     @property
-    def _connected(self) -> bool:
+    def _is_connected(self) -> bool:
         return self._client.status == "running"
 
-    def _gone(self) -> AbortError:
+    def _lost_scheduler_error(self) -> AbortError:
         return AbortError(
             f"{self._address}: the scheduler does not answer any more; all results so far "
             "are stored",
             "to continue, start a scheduler, and run the same command again with its address",
         )
 
-    def _found(
+    def _collect_outcomes(
         self, submitted: Sequence[tuple[Task, Path]], future: Any
-    ) -> list[Finished | Exception] | None:
-        """Store the logs that a Dask task returned, and return each trial's result or error.
+    ) -> list[FinishedTrial | Exception] | None:
+        """Store the logs of a finished Dask task, and return the result or error of each trial.
 
         The result is None if the task has several trials and every worker that ran it was lost.
         """
         from distributed import KilledWorker
 
-        outcomes: list[tuple[Finished | Exception, bytes | None]] = []
+        outcomes: list[tuple[FinishedTrial | Exception, bytes | None]] = []
         try:  # Dask cancels all tasks when the connection to the scheduler is lost
             error = future.exception()
             if error is None:
                 outcomes = future.result()
         except (OSError, CancelledError):
-            raise self._gone() from None
+            raise self._lost_scheduler_error() from None
         if isinstance(error, KilledWorker):
             if len(submitted) > 1:
                 return None
@@ -184,29 +195,29 @@ class Cluster:
         return [outcome for outcome, _ in outcomes]
 
 
-def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
-    """Choose the number of trials in a Dask task.
+def chunk_size(mean_trial_s: float | None, waiting: int, window: int) -> int:
+    """Choose the number of trials in the next Dask task.
 
-    Near the end, the number falls, so that `window` tasks run until the end. As long as the mean
-    time is unknown, it is 1.
+    Near the end of a study, the number falls, so that `window` tasks run until the end. The number
+    is 1 as long as the mean time of a trial is unknown.
 
     Args:
-        mean_s: Mean time of a trial [s]. None if unknown.
+        mean_trial_s: Mean wall time of a trial [s]. None if it is unknown.
         waiting: Number of trials that wait.
         window: Number of Dask tasks that are submitted at the same time.
     """
-    if mean_s is None:
+    if mean_trial_s is None:
         return 1
-    in_time = int(TASK_S / max(mean_s, LEAST_S))
-    return max(min(in_time, TASK_TRIALS_MAX, waiting // window), 1)
+    affordable_count = int(TASK_DURATION_S / max(mean_trial_s, MEAN_TRIAL_MIN_S))
+    return max(min(affordable_count, TASK_TRIALS_MAX, waiting // window), 1)
 
 
-def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:
+def _work(tasks: Sequence[Task]) -> list[tuple[FinishedTrial | Exception, bytes | None]]:
     """Run trials on a worker, and return the result or error of each one with its log."""
     return [_run(task) for task in tasks]
 
 
-def _run(task: Task) -> tuple[Finished | Exception, bytes | None]:
+def _run(task: Task) -> tuple[FinishedTrial | Exception, bytes | None]:
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
             outcome = run_task(task, Path(name), Interrupt())

@@ -9,7 +9,7 @@ notified of everything that happens. These methods call each other:
         _carry_out            one control step k: sends, and notifies the observers
       _end
         _halt                 stops the robots, waits until they stand still, takes the last frames
-        how_it_ended          outcome and reason, in the order below
+        outcome_and_reason    outcome and reason, in the order below
         _notify_of_the_end    the observers' last calls
 
 **What happens next, if**
@@ -86,8 +86,8 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.motion_at_rest import RestMonitor
 from tetractl.tools.plugin_fault import PluginTrialError, naming_plugins
 
-AT_ONCE = "stopped at once by a second interruption"
-STEP_FINISHED = "interrupted; the step was finished"
+INTERRUPTED_AT_ONCE = "stopped at once by a second interruption"
+INTERRUPTED_AFTER_STEP = "interrupted; the step was finished"
 TURNING_TEXT = "all robots turn on the spot: they have no safe path ahead"
 PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
 
@@ -96,31 +96,33 @@ TimedDecision = tuple[Decision, int]
 
 
 class StepPacing:
-    """The times at which control steps are due: k periods after the first step, plus delays.
+    """The schedule of control steps: step k is due k periods after the first step, plus delays.
 
     A pause delays all later steps by PAUSE_S. A plan that is sent late on purpose delays them by
     the same time. A step that is late by a period or more delays them by its lateness, so that
-    they have the full period again.
+    later steps have a full period again.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
         self._clock = clock
         self._period_s = period_s
         self.period_ns = round(period_s * SECOND)
-        self._first_ns = 0
+        self._first_due_ns = 0
 
     def start(self) -> None:
-        """Set the beginning of the trial: control step 0 is due now."""
-        self._first_ns = self._clock.now()
+        """Start the trial: control step 0 is due now."""
+        self._first_due_ns = self._clock.now()
 
-    def delay(self, by_ns: int) -> None:
+    def delay(self, delay_ns: int) -> None:
         """Delay all later control steps by `by_ns` [ns]."""
-        self._first_ns += by_ns
+        self._first_due_ns += delay_ns
 
     def finish(self, k: int, pauses: bool) -> int:
-        """Record the end of step k, and return when the next one is due.
+        """Record the end of step k, and return when the next step is due [ns].
 
-        If the robots pause after step k, the next step is due later.
+        Args:
+            k: Index of the step that has ended.
+            pauses: Whether the robots pause after this step. Then the next step is due later.
         """
         late_ns = self._clock.now() - self._due_ns(k)
         if late_ns >= self.period_ns:
@@ -130,7 +132,7 @@ class StepPacing:
         return self._due_ns(k + 1)
 
     def _due_ns(self, k: int) -> int:
-        return self._first_ns + round(k * self._period_s * SECOND)
+        return self._first_due_ns + round(k * self._period_s * SECOND)
 
 
 class FrameIntake:
@@ -145,50 +147,57 @@ class FrameIntake:
         self.unreported: list[Sample] = []  # not yet passed to the observers, oldest first
         self._unplanned: list[Observation] = []  # newer than the frame of the last step
 
-    def take(self) -> None:
+    def collect(self) -> None:
         """Take the camera frames that have arrived since the last call."""
         samples = self._plant.samples()
         self.unreported += samples
         self._unplanned += [sample.observation for sample in samples]
 
-    def hand_over(self) -> list[Sample]:
-        """Return the frames for the observers, which then count as reported."""
+    def pop_unreported(self) -> list[Sample]:
+        """Return the frames that observers have not received, and mark them as reported."""
         samples = self.unreported
         self.unreported = []
         return samples
 
-    def take_between(self, before: Observation, now: Observation) -> list[Observation]:
-        """Return the frames exposed between the frames of two steps, oldest first.
+    def take_between(self, previous: Observation, current: Observation) -> list[Observation]:
+        """Return the frames exposed between the frames of two control steps, oldest first.
 
-        All frames up to `now` are forgotten afterwards. Newer frames are kept.
+        Frames up to `current` are forgotten afterwards. Newer frames are kept.
+
+        Args:
+            previous: The frame of the previous step.
+            current: The frame of the present step.
         """
-        self.take()
+        self.collect()
         frames = self._unplanned
-        self._unplanned = [frame for frame in frames if frame.sampled_ns > now.sampled_ns]
-        return [frame for frame in frames if before.sampled_ns < frame.sampled_ns < now.sampled_ns]
+        self._unplanned = [frame for frame in frames if frame.sampled_ns > current.sampled_ns]
+        return [
+            frame for frame in frames if previous.sampled_ns < frame.sampled_ns < current.sampled_ns
+        ]
 
 
 @dataclass(slots=True)
 class StepCounts:
-    """What a trial counts and measures over its control steps.
+    """Counters and measurements of a trial, which are updated at each control step.
 
     Attributes:
         solve_ns: Wall time of each plan [ns].
         drove: Whether robots drove while each plan was made.
-        misses: Number of plans that took longer than a period while robots drove.
-        first_sent_ns: When the first direction was sent [ns]. None before that.
-        last_estimate: The controller's last estimate of the motion. None without one.
+        misses: Number of plans that took longer than a control period while robots drove.
+        first_sent_ns: Time at which the first direction was sent [ns]. None before that.
+        last_estimate: The controller's last estimate of the robots' motion. None if the controller
+            makes no estimates.
     """
 
-    solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
-    drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile
-    misses: int = 0  # plans that took longer than a period while robots drove
-    first_sent_ns: int | None = None  # when the first direction was sent
-    last_estimate: Estimate | None = None  # of the motion, by the controller
+    solve_ns: list[int] = field(default_factory=list)
+    drove: list[bool] = field(default_factory=list)
+    misses: int = 0
+    first_sent_ns: int | None = None
+    last_estimate: Estimate | None = None
 
 
 class RobotMotion(Enum):
-    """What the last decision makes the robots do: drive, turn on the spot, or pause."""
+    """The kind of motion that the last plan commands: drive, turn on the spot, or pause."""
 
     NOT_BEGUN = "not begun"
     DRIVE = "drive"
@@ -197,20 +206,27 @@ class RobotMotion(Enum):
 
     @classmethod
     def from_plan(cls, plan: Plan) -> "RobotMotion":
-        """Return how the robots move if they follow a plan."""
+        """Find out how the robots move if they follow a plan."""
         if not plan.pauses:
             return cls.DRIVE
         return cls.TURN if isinstance(plan.action, Turn) else cls.STAND
 
 
-def motion_text(before: RobotMotion, now: RobotMotion) -> str:
-    """Return a message if robots begin to turn on the spot or to pause, otherwise "".
+def describe_motion_change(previous: RobotMotion, current: RobotMotion) -> str:
+    """Describe a change of the robots' motion: that they start to turn on the spot, or to pause.
 
-    A pause right after a turn is not reported.
+    A pause directly after a turn is not described.
+
+    Args:
+        previous: How the robots moved before.
+        current: How the robots move now.
+
+    Returns:
+        The message, or "" if there is nothing to report.
     """
-    if now is RobotMotion.TURN and before is not RobotMotion.TURN:
+    if current is RobotMotion.TURN and previous is not RobotMotion.TURN:
         return TURNING_TEXT
-    if now is RobotMotion.STAND and before in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
+    if current is RobotMotion.STAND and previous in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
         return PAUSING_TEXT
     return ""
 
@@ -249,25 +265,25 @@ class Halt:
     error: BaseException | None
 
 
-def how_it_ended(
-    loop: LoopEnd, halt: Halt, fault: PluginTrialError | None, dead: str
+def outcome_and_reason(
+    loop: LoopEnd, halt: Halt, plugin_fault: PluginTrialError | None, dead_text: str
 ) -> tuple[Outcome, str]:
     """Determine the outcome and the reason of a trial, as the module's docstring lists.
 
     Args:
         loop: How the control loop ended.
         halt: How the robots were stopped.
-        fault: The first error of a plug-in. None if there was none.
-        dead: Which robots do not move. Empty if all do.
+        plugin_fault: The first error of a plug-in. None if there was none.
+        dead_text: Which robots do not move. Empty if all do.
     """
     error = loop.error or halt.error
     if error is not None:
-        why = fault.message if fault else message_of(error)
+        message = plugin_fault.message if plugin_fault else message_of(error)
         unrest = halt.verdict.unrest
-        return Outcome.ABORTED, f"{why}; {unrest}" if unrest else why
+        return Outcome.ABORTED, f"{message}; {unrest}" if unrest else message
     if halt.verdict.not_at_rest:
         return Outcome.ABORTED, halt.verdict.not_at_rest
-    return loop.outcome, loop.reason or dead
+    return loop.outcome, loop.reason or dead_text
 
 
 def message_of(error: BaseException) -> str:
@@ -279,12 +295,12 @@ def message_of(error: BaseException) -> str:
 
 
 class EstimateMonitor(Protocol):
-    """Reports what is new in a controller's estimates, from one estimate to the next."""
+    """Watches a controller's estimates of the robots' motion, and reports what has changed."""
 
     def notices(
         self, estimate: Estimate, setup: Setup, now_ns: int, frame: Observation
     ) -> Sequence[tuple[Literal["info", "warning"], str]]:
-        """Return level and text of each message that a new estimate gives rise to.
+        """Return the messages that a new estimate gives rise to, each as its level and text.
 
         Args:
             estimate: The newest estimate of the robots' motion.
@@ -305,7 +321,7 @@ class Trial:
         clock: The clock of the trial.
         observers: Objects that are notified of everything that happens.
         interrupt: Requests to end.
-        model: Reports what is new in the controller's estimates. None to report nothing.
+        model_monitor: Reports what is new in the controller's estimates. None to report nothing.
     """
 
     def __init__(
@@ -316,7 +332,7 @@ class Trial:
         clock: Clock,
         observers: Sequence[Observer],
         interrupt: Interrupt,
-        model: EstimateMonitor | None = None,
+        model_monitor: EstimateMonitor | None = None,
     ) -> None:
         setup = start.setup
         self._start = start
@@ -326,13 +342,13 @@ class Trial:
         self._observers = observers
         self._interrupt = interrupt
         self._pacing = StepPacing(clock, setup.period_s)
-        self._frames = FrameIntake(plant)
-        self._measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
-        self._model = model
-        self._rests = RestMonitor(setup)
+        self._frame_intake = FrameIntake(plant)
+        self._route_measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
+        self._model_monitor = model_monitor
+        self._rest_monitor = RestMonitor(setup)
         self._counts = StepCounts()
         self._motion = RobotMotion.NOT_BEGUN
-        self._dead = 0  # number of robots that do not move while others drive
+        self._dead_count = 0  # number of robots that do not move while others drive
 
     # ---- the trial ----
 
@@ -355,7 +371,7 @@ class Trial:
                 observer.on_start(start)
             loop = self._loop(virtual=info.virtual)
         except KeyboardInterrupt:  # by a second request
-            loop = LoopEnd(Outcome.INTERRUPTED, AT_ONCE)
+            loop = LoopEnd(Outcome.INTERRUPTED, INTERRUPTED_AT_ONCE)
         except BaseException as error:
             loop = LoopEnd(Outcome.ABORTED, error=error)
         return self._end(loop, opened_ns)
@@ -379,37 +395,43 @@ class Trial:
             if not self._interrupt.requested:
                 self._sleep_until(due_ns)
             if self._interrupt.requested:
-                return LoopEnd(Outcome.INTERRUPTED, STEP_FINISHED)
-            before = observation
+                return LoopEnd(Outcome.INTERRUPTED, INTERRUPTED_AFTER_STEP)
+            previous = observation
             observation = self._plant.observe()
-            between = self._frames.take_between(before, observation)
-            for text in self._rests.warnings(decision, [*between, observation]):
+            earlier_frames = self._frame_intake.take_between(previous, observation)
+            for text in self._rest_monitor.warnings(decision, [*earlier_frames, observation]):
                 self._report(observation.sampled_ns, text, "warning")
-            decision, solve_ns = self._plan(observation, command, between)
+            decision, solve_ns = self._plan(observation, command, earlier_frames)
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _carry_out(self, k: int, observation: Observation, plan: Plan, solve_ns: int) -> Command:
-        """Carry out step k: send what the plan says, notify the observers, and return the command.
+        """Carry out step k: send the plan's command, notify the observers, and return the command.
 
         Nothing is reported before the command is sent, because observers take time. Then the
         observers are notified of the frames and messages before the step, and finally of
         contradictions between the step's estimate and the model.
+
+        Args:
+            k: Index of the step.
+            observation: The frame for which the plan was made.
+            plan: The controller's plan.
+            solve_ns: Wall time that the plan needed [ns].
         """
-        begun_leg = self._measure.step(plan.leg, observation)
+        leg_text = self._route_measure.step(plan.leg, observation)
         if plan.pauses:
             self._sleep_until(self._clock.now() + plan.delay_ns)
             self._pacing.delay(plan.delay_ns)
         command = self._plant.send(plan.action)
         if self._counts.first_sent_ns is None and not command.stops:
             self._counts.first_sent_ns = command.sent_ns
-        before = self._motion
+        previous_motion = self._motion
         self._motion = RobotMotion.from_plan(plan)
         # the first plan, and one for robots that stand, may take as long as it needs
-        missed = before is RobotMotion.DRIVE and solve_ns > self._pacing.period_ns
-        self._report(command.sent_ns, motion_text(before, self._motion))
-        self._report(command.sent_ns, begun_leg)
+        missed = previous_motion is RobotMotion.DRIVE and solve_ns > self._pacing.period_ns
+        self._report(command.sent_ns, describe_motion_change(previous_motion, self._motion))
+        self._report(command.sent_ns, leg_text)
         self._counts.solve_ns.append(solve_ns)
-        self._counts.drove.append(before is RobotMotion.DRIVE)
+        self._counts.drove.append(previous_motion is RobotMotion.DRIVE)
         self._counts.last_estimate = plan.estimate
         if missed:
             self._counts.misses += 1
@@ -418,27 +440,33 @@ class Trial:
         step = Step(k, observation, plan, command, solve_ns, missed)
         for observer in self._observers:
             observer.on_step(step)
-        if plan.estimate is not None and self._model is not None:
+        if plan.estimate is not None and self._model_monitor is not None:
             setup = self._start.setup
-            news = self._model.notices(plan.estimate, setup, command.sent_ns, observation)
-            for level, text in news:  # where the controller's model does not fit, or fits again
+            notices = self._model_monitor.notices(
+                plan.estimate, setup, command.sent_ns, observation
+            )
+            for level, text in notices:
                 self._report(command.sent_ns, text, level)
         return command
 
     # ---- decisions ----
 
     def _plan(
-        self, observation: Observation, last: Command | None, between: Sequence[Observation]
+        self,
+        observation: Observation,
+        last_command: Command | None,
+        earlier_frames: Sequence[Observation],
     ) -> TimedDecision:
         """Let the controller decide in one control step.
 
         Args:
             observation: The newest frame.
-            last: The command of the previous step. None at the first step.
-            between: Frames exposed between the previous observation and this one, oldest first.
+            last_command: The command of the previous step. None at the first step.
+            earlier_frames: Frames exposed between the previous observation and this one, the oldest
+                first.
         """
         with self._interrupt.breakable():
-            return self._timed_plan(observation, last, between)
+            return self._timed_plan(observation, last_command, earlier_frames)
 
     def _plan_meanwhile(self, observation: Observation) -> TimedDecision:
         """Compute the first decision in its own thread, in real time.
@@ -457,10 +485,13 @@ class Trial:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _timed_plan(
-        self, observation: Observation, last: Command | None, between: Sequence[Observation]
+        self,
+        observation: Observation,
+        last_command: Command | None,
+        earlier_frames: Sequence[Observation],
     ) -> TimedDecision:
         began_ns = time.perf_counter_ns()
-        decision = self._controller.plan(observation, last, between)
+        decision = self._controller.plan(observation, last_command, earlier_frames)
         return decision, time.perf_counter_ns() - began_ns
 
     # ---- plant and clock ----
@@ -469,33 +500,33 @@ class Trial:
         with self._interrupt.breakable():
             self._clock.sleep_until(due_ns)
 
-    # ---- what the observers are notified of ----
+    # ---- notifying the observers ----
 
     def _report(self, t_ns: int, text: str, level: str = "info") -> None:
-        """Report a text to the observers as a note of the trial at `t_ns`, unless it is empty."""
+        """Report a text to the observers as a note at time `t_ns`, unless the text is empty."""
         if text:
             for observer in self._observers:
                 observer.on_note(Note(t_ns, level, text))
 
     def _report_frames(self) -> None:
-        """Report the frames that have arrived, and the plant's own commands and notes."""
-        self._frames.take()
+        """Report new frames to the observers, and the plant's own commands and notes."""
+        self._frame_intake.collect()
         events = self._plant.events()
-        samples = self._frames.hand_over()
-        self._measure.add(samples)
+        samples = self._frame_intake.pop_unreported()
+        self._route_measure.add(samples)
         for observer in self._observers:
             observer.on_samples(samples)
-            pass_on(observer, events)
+            pass_events(observer, events)
 
     def _report_dead(self, t_ns: int) -> None:
-        """Report the robots that do not move while others drive, if there are more than before."""
-        dead = int(self._measure.losses.dead.sum())
-        if dead == self._dead:
+        """Report which robots do not move while others drive, if their number has changed."""
+        dead_count = int(self._route_measure.losses.dead.sum())
+        if dead_count == self._dead_count:
             return
-        self._dead = dead
-        goes_on = "" if self._measure.stood.any() else ": the trial goes on without"
-        text = describe_dead(self._start.setup.names, self._measure.losses.dead)
-        self._report(t_ns, text + goes_on, "warning")
+        self._dead_count = dead_count
+        continuation = "" if self._route_measure.stood.any() else ": the trial goes on without"
+        text = describe_dead(self._start.setup.names, self._route_measure.losses.dead)
+        self._report(t_ns, text + continuation, "warning")
 
     # ---- the end ----
 
@@ -507,14 +538,14 @@ class Trial:
         """
         halt = self._halt()
         error = loop.error or halt.error
-        fault = naming_plugins(error, self._start.packages) if error is not None else None
-        dead = describe_dead(self._start.setup.names, self._measure.stood)
-        outcome, reason = how_it_ended(loop, halt, fault, dead)
-        result = self._result(outcome, reason, halt, opened_ns)
-        calls = fault.calls if fault else ()
-        failures = self._notify_of_the_end(halt, calls, result)
+        plugin_fault = naming_plugins(error, self._start.packages) if error is not None else None
+        dead_text = describe_dead(self._start.setup.names, self._route_measure.stood)
+        outcome, reason = outcome_and_reason(loop, halt, plugin_fault, dead_text)
+        result = self._create_result(outcome, reason, halt, opened_ns)
+        plugin_calls = plugin_fault.calls if plugin_fault else ()
+        failures = self._notify_of_the_end(halt, plugin_calls, result)
         bugs = [failure for failure in failures if not isinstance(failure, TetractlError)]
-        if error is not None and fault is None and not isinstance(error, TetractlError):
+        if error is not None and plugin_fault is None and not isinstance(error, TetractlError):
             raise error
         if bugs:
             raise bugs[0]
@@ -528,23 +559,23 @@ class Trial:
         If one of these fails, the others are still done and reported.
         """
         plant = self._plant
-        robots = len(self._start.setup.names)
-        stop = Command(Stop(), self._clock.now(), (False,) * robots)
-        verdict = Verdict.unknown(robots)
+        n_robots = len(self._start.setup.names)
+        stop = Command(Stop(), self._clock.now(), (False,) * n_robots)
+        verdict = Verdict.unknown(n_robots)
         events: list[Command | Note] = []
         error: BaseException | None = None
         try:
             with closing(plant):
                 stop = plant.stop()
                 verdict = plant.settle()
-                self._frames.take()
-                self._measure.add(self._frames.unreported, stop.sent_ns)
+                self._frame_intake.collect()
+                self._route_measure.add(self._frame_intake.unreported, stop.sent_ns)
                 events = plant.events()
         except (Exception, SystemExit) as failure:
             error = failure
-        return Halt(stop, verdict, self._frames.hand_over(), events, error)
+        return Halt(stop, verdict, self._frame_intake.pop_unreported(), events, error)
 
-    def _result(self, outcome: Outcome, reason: str, halt: Halt, opened_ns: int) -> Result:
+    def _create_result(self, outcome: Outcome, reason: str, halt: Halt, opened_ns: int) -> Result:
         """Create the result of the trial.
 
         A trial lasts from its first direction, or from its opening if none was sent.
@@ -561,24 +592,29 @@ class Trial:
             solve_ns=tuple(self._counts.solve_ns),
             deadline_misses=self._counts.misses,
             drove=tuple(self._counts.drove),
-            route=self._measure,
+            route=self._route_measure,
             estimate=self._counts.last_estimate,
         )
 
     def _notify_of_the_end(
-        self, halt: Halt, calls: Sequence[str], result: Result
+        self, halt: Halt, plugin_calls: Sequence[str], result: Result
     ) -> list[Exception]:
-        """Notify every observer of the end, even one that failed before, and return their errors.
+        """Notify every observer of the trial's end, and return the errors of the observers.
 
-        `calls` are the calls that led to a plug-in's error.
+        Observers that failed before are also notified.
+
+        Args:
+            halt: How the robots were stopped.
+            plugin_calls: The calls that led to a plug-in's error.
+            result: The result of the trial.
         """
-        traces = [Note(halt.stop.sent_ns, "debug", call) for call in calls]
+        traces = [Note(halt.stop.sent_ns, "debug", call) for call in plugin_calls]
         failures: list[Exception] = []
         for observer in self._observers:
             try:
                 try:
                     observer.on_samples(halt.samples)
-                    pass_on(observer, [*halt.events, *traces])
+                    pass_events(observer, [*halt.events, *traces])
                 finally:
                     observer.on_stop(halt.stop, result)
             except Exception as failure:
@@ -595,7 +631,7 @@ def abandon(plant: Plant) -> None:
         plant.stop()
 
 
-def pass_on(observer: Observer, events: Sequence[Command | Note]) -> None:
+def pass_events(observer: Observer, events: Sequence[Command | Note]) -> None:
     """Pass the plant's own commands and notes to an observer, in their order."""
     for event in events:
         if isinstance(event, Command):

@@ -1,9 +1,9 @@
 """Executors that run trials on this machine: in this process, or in worker processes.
 
-There are two kinds of `Executor`. `Here` runs tasks one after another in this process, `Processes`
-runs several at the same time. Their method `run` yields every task that was started, with its
-result or error. It returns early after `end`, or after the first request of the interrupt. `called`
-does the same for plain calls.
+There are two kinds of `Executor`. An `InProcessExecutor` runs tasks one after another in this
+process. A `ProcessExecutor` runs several tasks at the same time. Their method `run` yields every
+task that was started, with its result or error. It returns early after `end`, or after the first
+request of the interrupt. `call_in_workers` calls a plain function in worker processes.
 
 A worker process ends in one of four ways:
 
@@ -33,35 +33,35 @@ from typing import Protocol, TypeVar
 from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
-from tetractl.run.task import Finished, Task, run_task
+from tetractl.run.task import FinishedTrial, Task, run_task
 from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context, isolated
 
-KILLED = "a trial's process was killed twice, perhaps because memory ran out"
-PRINTED = "printed in a trial's process"
-CHECK_S = 0.1
+KILLED_TEXT = "a trial's process was killed twice, perhaps because memory ran out"
+PRINTED_TEXT = "printed in a trial's process"
+CHECK_INTERVAL_S = 0.1
 """Time between two checks for a request to stop while trials run [s]."""
-SIGTERM_S = 1.0
+SIGTERM_INTERVAL_S = 1.0
 """Time between two SIGTERMs to a worker [s].
 
 They are repeated, because an exception that is raised in a finaliser is lost.
 """
-CLOSE_LOG_S = 5.0
+CLOSE_LOG_TIMEOUT_S = 5.0
 """Time for a worker to close its log after its parent process has ended [s]."""
 T = TypeVar("T")
 R = TypeVar("R")
 
-TaskEnd = tuple[Task, Finished | Exception]
-"""A task, and its result or error."""
+TaskEnd = tuple[Task, FinishedTrial | Exception]
+"""A task that has ended, with its result or its error."""
 
 StartTask = Callable[[Task], Path]
 """A function that is called in this process before a task starts.
 
-It returns the folder for the log.
+It returns the folder for the log of the trial.
 """
 
 
 class Executor(Protocol):
-    """An object that runs trials somewhere: `Here`, `Processes` or `cluster.Cluster`."""
+    """An object that runs trials: in this process, in worker processes, or on a cluster."""
 
     @property
     def workers(self) -> int:
@@ -82,23 +82,23 @@ class Executor(Protocol):
         ...
 
     def end(self) -> None:
-        """Start no further trial, and end the running ones early."""
+        """Start no further trial, and end the running trials early."""
         ...
 
 
-def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
+def local_executor(jobs: int, task_count: int, interrupt: Interrupt) -> Executor:
     """Choose the executor for a number of trials on this machine.
 
     Args:
         jobs: How many trials to run at the same time, each in its own process if there are several.
-        tasks: Number of tasks. No more processes than tasks are used.
+        task_count: Number of tasks. No more processes than tasks are used.
         interrupt: Requests to end.
     """
-    jobs = min(jobs, tasks)
-    return Processes(jobs, interrupt) if jobs > 1 else Here(interrupt)
+    jobs = min(jobs, task_count)
+    return ProcessExecutor(jobs, interrupt) if jobs > 1 else InProcessExecutor(interrupt)
 
 
-class Here:
+class InProcessExecutor:
     """An executor that runs one trial after another in this process.
 
     Args:
@@ -118,7 +118,7 @@ class Here:
         self._interrupt = interrupt
         self._observers = observers
         self._supervision = supervision
-        self._ended = False
+        self._is_ended = False
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
         """Run the tasks one after another, and yield each with its result or error.
@@ -126,25 +126,27 @@ class Here:
         No further task starts once a stop was requested.
         """
         for task in tasks:
-            if self._ended or self._interrupt.requested:
+            if self._is_ended or self._interrupt.requested:
                 return
             folder = start_task(task)
             try:
-                ended = run_task(task, folder, self._interrupt, self._observers, self._supervision)
+                outcome = run_task(
+                    task, folder, self._interrupt, self._observers, self._supervision
+                )
             except TetractlError as error:
                 # without the traceback, as from a process: it would keep the whole plant in memory
                 error.__cause__ = error.__context__ = None
-                ended = error.with_traceback(None)
+                outcome = error.with_traceback(None)
             except Exception as error:
-                ended = error
-            yield task, ended
+                outcome = error
+            yield task, outcome
 
     def end(self) -> None:
         """Start no further trial. A trial that already runs goes on."""
-        self._ended = True
+        self._is_ended = True
 
 
-class Processes:
+class ProcessExecutor:
     """An executor that runs several trials at the same time, each in its own process.
 
     The first request of `interrupt` ends the running trials after their control step, the second
@@ -157,7 +159,7 @@ class Processes:
         self._interrupt = interrupt
         self._context = fresh_context(["tetractl.run.preloaded"])
         # Python starts its semaphore tracker in the block
-        with _signals_held_back(), isolated():
+        with _block_signals(), isolated():
             self._ending = self._context.Event()
         self._next_sigterm_s = 0.0
         """Earliest time of the next SIGTERM to the workers, on the monotonic clock [s]."""
@@ -167,74 +169,83 @@ class Processes:
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
             suspects = list[Task]()
-            for task, ended in self._in_pool(waiting, self.workers, start_task):
-                if isinstance(ended, BrokenProcessPool):
+            for task, outcome in self._run_in_pool(waiting, self.workers, start_task):
+                if isinstance(outcome, BrokenProcessPool):
                     suspects.append(task)
                 else:
-                    yield task, ended
+                    yield task, outcome
             for suspect in suspects:
-                yield from self._repeat(suspect, start_task)
+                yield from self._repeat_alone(suspect, start_task)
 
     def end(self) -> None:
         """Start no further trial, and end the running ones early."""
         self._ending.set()
 
-    def _repeat(self, suspect: Task, start_task: StartTask) -> Iterator[TaskEnd]:
-        """Run a task again, alone, that was running when a worker was killed.
+    def _repeat_alone(self, suspect: Task, start_task: StartTask) -> Iterator[TaskEnd]:
+        """Run a task again, without others at the same time, after a worker was killed.
 
-        If its worker is also killed, the task fails.
+        The task was running when the worker was killed. If its own worker is now killed, the task
+        fails.
         """
-        for task, ended in self._in_pool(deque([suspect]), 1, start_task):
-            if isinstance(ended, BrokenProcessPool):
+        for task, outcome in self._run_in_pool(deque([suspect]), 1, start_task):
+            if isinstance(outcome, BrokenProcessPool):
                 hint = "to continue, run the same command again with fewer --jobs"
                 in_python = "to continue, call the function again with fewer jobs"
-                yield task, AbortError(KILLED, hint, in_python)
+                yield task, AbortError(KILLED_TEXT, hint, in_python)
             else:
-                yield task, ended
+                yield task, outcome
 
-    def _in_pool(
+    def _run_in_pool(
         self, waiting: "deque[Task]", workers: int, start_task: StartTask
     ) -> Iterator[TaskEnd]:
-        """Run the waiting tasks until a worker is killed.
+        """Run the waiting tasks in a pool of workers, until a worker is killed.
 
-        Running tasks then end with the error BrokenProcessPool, and the others stay in `waiting`.
+        Running tasks then end with the error BrokenProcessPool. Tasks that were not started stay in
+        `waiting`.
         """
-        running = dict[Future[Finished], Task]()
-        broken = False
+        running = dict[Future[FinishedTrial], Task]()
+        is_broken = False
         environment = dict(os.environ)
         with WorkerPool(
-            self._context, workers, PRINTED, _print_line, _start_worker, (self._ending, environment)
+            self._context,
+            workers,
+            PRINTED_TEXT,
+            _print_line,
+            _start_worker,
+            (self._ending, environment),
         ) as pool:
             while True:
                 if self._interrupt.requested:
                     self._ending.set()
-                ends = broken or self._ending.is_set()
-                while waiting and len(running) < workers and not ends:
+                is_ending = is_broken or self._ending.is_set()
+                while waiting and len(running) < workers and not is_ending:
                     task = waiting.popleft()
                     folder = start_task(task)
-                    with _signals_held_back():  # `submit` starts workers
+                    with _block_signals():  # `submit` starts workers
                         running[pool.submit(_work, task, folder)] = task
-                    ends = self._ending.is_set()
+                    is_ending = self._ending.is_set()
                 if not running:
                     return
-                done, _ = wait(running, timeout=CHECK_S, return_when=FIRST_COMPLETED)
-                for future in done:
+                done_futures, _ = wait(
+                    running, timeout=CHECK_INTERVAL_S, return_when=FIRST_COMPLETED
+                )
+                for future in done_futures:
                     error = future.exception()
                     if error is not None and not isinstance(error, Exception):
                         raise error
                     if isinstance(error, BrokenProcessPool):
-                        broken = True
+                        is_broken = True
                     yield running.pop(future), error or future.result()
                 self._stop_at_once()
 
     def _stop_at_once(self) -> None:
-        """Send SIGTERM to the workers after a second request to stop, again and again."""
+        """After a second request to stop, send SIGTERM to the workers every SIGTERM_INTERVAL_S."""
         if self._interrupt.count < 2 or time.monotonic() < self._next_sigterm_s:
             return
-        self._ending.set()  # else workers take SIGTERM for that of a broken pool
+        self._ending.set()  # otherwise workers would take SIGTERM for the end of a broken pool
         for worker in multiprocessing.active_children():
             worker.terminate()
-        self._next_sigterm_s = time.monotonic() + SIGTERM_S
+        self._next_sigterm_s = time.monotonic() + SIGTERM_INTERVAL_S
 
 
 def _print_line(line: str) -> None:
@@ -243,48 +254,51 @@ def _print_line(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def called(
-    call: Callable[[T], R], items: Sequence[T], jobs: int, tell: Callable[[str], object]
+def call_in_workers(
+    call: Callable[[T], R], items: Sequence[T], jobs: int, print_line: Callable[[str], object]
 ) -> Iterator[R]:
-    """Call a function for each item in worker processes, and yield the results as they finish.
+    """Call a function for each item in worker processes, and yield each result when it is ready.
 
     Args:
-        call: The function.
-        items: Its arguments.
-        jobs: How many calls to run at the same time.
-        tell: Called with each line that the workers print.
+        call: The function, which takes one item.
+        items: The items. With fewer than two jobs, the calls are made in this process.
+        jobs: Maximum number of calls that run at the same time.
+        print_line: Called with each line that the workers print.
     """
     jobs = min(jobs, len(items))
     if jobs < 2:
         yield from map(call, items)
         return
-    with WorkerPool(copying_context(), jobs, PRINTED, tell) as pool:
-        for ended in as_completed([pool.submit(call, item) for item in items]):
-            yield ended.result()
+    with WorkerPool(copying_context(), jobs, PRINTED_TEXT, print_line) as pool:
+        for future in as_completed([pool.submit(call, item) for item in items]):
+            yield future.result()
 
 
-def _work(task: Task, folder: Path) -> Finished:
+def _work(task: Task, folder: Path) -> FinishedTrial:
     return run_task(task, folder, _interrupt)
 
 
 @contextmanager
-def _signals_held_back() -> Iterator[None]:
-    """Block signals in worker processes that are started in the `with` block.
+def _block_signals() -> Iterator[None]:
+    """Block signals in the worker processes that are started in the `with` block.
 
-    They stay blocked until these processes call `_start_worker`.
+    The signals stay blocked until these processes call `_start_worker`.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 class _SharedInterrupt(Interrupt):
-    """A worker's interrupt: the shared event is the first request, SIGTERM the second."""
+    """The interrupt of a worker process.
+
+    The event that all workers share is the first request, and SIGTERM is the second.
+    """
 
     def __init__(self, ending: Event) -> None:
         super().__init__()
@@ -303,7 +317,7 @@ class _SharedInterrupt(Interrupt):
         if not self.ending.is_set():
             os._exit(1)
         self.count = 2
-        self._break()
+        self._raise_if_due()
 
 
 _interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a worker
@@ -335,5 +349,5 @@ def _end_with_parent(ending: Event) -> None:
     parent.join()
     ending.set()
     os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(CLOSE_LOG_S)
+    time.sleep(CLOSE_LOG_TIMEOUT_S)
     os._exit(1)

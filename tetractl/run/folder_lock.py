@@ -13,9 +13,9 @@ from tetractl.tools.files import lock_file, make_folder
 
 LOCK_FILE = ".tetractl-lock"
 """Name of the lock file in a folder to which only one run at a time may write."""
-OWNER_BYTES = 300
+OWNER_BYTES_MAX = 300
 """Maximum size of a lock file that is read [bytes]: host, process and time need about 100."""
-OPENED = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
+OPEN_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 """Flags with which the lock file is opened. No link is followed, if the system allows that."""
 
 
@@ -35,7 +35,7 @@ def locked(folder: Path) -> Iterator[None]:
     make_folder(folder)
     path = folder / LOCK_FILE
     try:
-        file = _acquire(path)
+        descriptor = _acquire(path)
     except OSError as error:
         raise LogError(f"{path}: the folder cannot be locked: {error.strerror}") from error
     try:
@@ -43,46 +43,51 @@ def locked(folder: Path) -> Iterator[None]:
     finally:
         with suppress(OSError):  # the folder may have been removed
             path.unlink()
-        os.close(file)
+        os.close(descriptor)
 
 
 def _acquire(path: Path) -> int:
-    """Open and lock a file, write the owner into it, and return its descriptor.
+    """Open and lock the lock file, write this run into it, and return its descriptor.
 
     Raises:
-        UsageError: If another run has locked it, or it names an owner on another host.
+        UsageError: If another run has locked the file, or the file names an owner on another host.
     """
     while True:
-        file = os.open(path, OPENED, 0o644)
+        descriptor = os.open(path, OPEN_FLAGS, 0o644)
         try:
-            lock_file(file)
-            if not _is(path, file):  # the last owner has removed the file in the meantime
-                os.close(file)
+            lock_file(descriptor)
+            if not _is_same_file(
+                path, descriptor
+            ):  # the last owner has removed the file in the meantime
+                os.close(descriptor)
                 continue
-            owner = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
+            owner = os.pread(descriptor, OWNER_BYTES_MAX, 0).decode(errors="replace")
             if owner and not owner.startswith(f"{socket.gethostname()} "):
-                raise _in_use(path, owner, "; if that run has ended, remove the file " + LOCK_FILE)
-            os.ftruncate(file, 0)
-            os.pwrite(file, _owner().encode(errors="replace"), 0)
+                raise _in_use_error(
+                    path, owner, "; if that run has ended, remove the file " + LOCK_FILE
+                )
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, _describe_owner().encode(errors="replace"), 0)
         except BlockingIOError:
-            owner = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
-            os.close(file)
-            raise _in_use(path, owner) from None
+            owner = os.pread(descriptor, OWNER_BYTES_MAX, 0).decode(errors="replace")
+            os.close(descriptor)
+            raise _in_use_error(path, owner) from None
         except BaseException:
-            os.close(file)
+            os.close(descriptor)
             raise
-        return file
+        return descriptor
 
 
-def _is(path: Path, file: int) -> bool:
+def _is_same_file(path: Path, descriptor: int) -> bool:
+    """Check whether a path leads to the file that is open under a descriptor."""
     try:
-        return os.path.samestat(path.stat(), os.fstat(file))
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
     except FileNotFoundError:
         return False
 
 
-def _owner() -> str:
-    """Return the contents of a lock file: host, process id, user and time, in one line."""
+def _describe_owner() -> str:
+    """Describe this run for a lock file: host, process id, user and time, in one line."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError, ImportError):  # the user id has no name, or users have no ids
@@ -90,13 +95,15 @@ def _owner() -> str:
     return f"{socket.gethostname()} {os.getpid()} {user} {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
-def _in_use(path: Path, owner: str, more: str = "") -> UsageError:
-    words = owner.split()
-    host, pid, user, since = words if len(words) == 4 else ("?",) * 4
-    by = f"by process {pid} of {user} on {host} since {since}" if words else "by another run"
-    by = "".join(c if c.isprintable() else "?" for c in by)
+def _in_use_error(path: Path, owner: str, extra_hint: str = "") -> UsageError:
+    owner_fields = owner.split()
+    host, pid, user, since = owner_fields if len(owner_fields) == 4 else ("?",) * 4
+    owner_text = (
+        f"by process {pid} of {user} on {host} since {since}" if owner_fields else "by another run"
+    )
+    owner_text = "".join(character if character.isprintable() else "?" for character in owner_text)
     return UsageError(
-        f"{path.parent}: in use {by}",
-        f"wait for that run, or name another folder with --out{more}",
-        f"wait for that run, or name another folder with folder={more}",
+        f"{path.parent}: in use {owner_text}",
+        f"wait for that run, or name another folder with --out{extra_hint}",
+        f"wait for that run, or name another folder with folder={extra_hint}",
     )

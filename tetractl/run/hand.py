@@ -10,7 +10,7 @@ Each logged plan also contains the directions that came later. Therefore the tri
 
     HandController   asks for the direction of each step, and keeps it with the step's problem
     WallPace         slows a simulation down to the time that people need to steer it
-    AtEnd            reports at once how the trial ended, before its log is written
+    EndNotifier      reports at once how the trial ended, before its log is written
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result, Start, Step
-from tetractl.log.write.sink import TRIAL_PART
+from tetractl.log.write.sink import TRIAL_PART_SUFFIX
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path, run_with_log
@@ -38,8 +38,8 @@ from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.tools.files import make_folder
 from tetractl.tools.worker import Relay
 
-SAVING = ".saving"
-"""Suffix of the final log while it is written. Until then, only the log with `.part` exists."""
+SAVING_SUFFIX = ".saving"
+"""Suffix of the final log while it is written. Before, only the log with `.part` exists."""
 
 Ask = Callable[[float], float | None]
 """A function that returns the direction of a step [rad], or None to end the trial.
@@ -53,24 +53,26 @@ Its argument is a function that plans a direction [rad].
 """
 
 
-def go_on(plan_of: Callable[[float], Plan]) -> None:
+def never_pause(plan_direction: Callable[[float], Plan]) -> None:
     """Return at once: by default, nobody can pause the trial."""
 
 
 class HandController(PlainController):
     """The controller of a trial that a person steers, for a spec from `directed_spec`.
 
-    While the robots drive, a plan shows where they go if the direction is held. `directions` are
-    the directions sent so far [rad].
+    While the robots drive, a plan shows where they go if the direction is held.
 
     Args:
         spec: The spec.
         trial: Index of the trial.
         ask: Asks the person for a direction.
-        pause: Called while the person pauses.
+        pause: Called before each step. It returns at once unless the person pauses the trial.
+
+    Attributes:
+        directions: The directions sent so far [rad].
     """
 
-    def __init__(self, spec: LoadedSpec, trial: int, ask: Ask, pause: Pause = go_on) -> None:
+    def __init__(self, spec: LoadedSpec, trial: int, ask: Ask, pause: Pause = never_pause) -> None:
         self.trial = trial
         experiment = spec.experiment
         section = experiment.controller
@@ -84,41 +86,38 @@ class HandController(PlainController):
         self._problems: list[Problem] = []
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
-        """Plan the direction the person wants; see `PlainController.decided`.
+        """Ask the person for a direction, and return its plan; see `PlainController.decided`.
 
         The trial is complete once the person stops it. During a pause, the method waits.
         """
 
-        def plan_of(direction: float) -> Plan:
+        def plan_direction(direction: float) -> Plan:
             return given_plan(problem, np.full(self._section.ahead, direction), step_key)
 
-        self._pause(plan_of)
+        self._pause(plan_direction)
         direction = self._ask(self.k * self._section.period)
         if direction is None:
             return Outcome.SEQUENCE_COMPLETED
         self.directions.append(direction)
         self._problems.append(problem)
-        return plan_of(direction)
+        return plan_direction(direction)
 
     @property
-    def given(self) -> SequenceSection:
-        """The section of the controller `sequence` with the directions sent so far, for a spec.
+    def section_with_directions(self) -> SequenceSection:
+        """The section of the controller `sequence` with the directions sent so far.
 
-        There must be at least one direction.
+        At least one direction must have been sent.
         """
         return self._section.model_copy(update={"directions": tuple(self.directions)})
 
     def plan_of_sequence(self, k: int) -> Plan:
-        """Return the plan of step `k` by `sequence`, which also knows the later directions."""
+        """Return the plan that `sequence`, which knows the later directions, makes in step `k`."""
         signals = np.array(self.directions[k : k + self._section.ahead])
         return given_plan(self._problems[k], signals, mix(self.key, k))
 
 
 class HandLog(Relay):
-    """A log that keeps the records of a trial in memory, until the trial has ended.
-
-    `save` then writes them.
-    """
+    """A recorder that keeps a trial in memory, until `save` writes its final log."""
 
     def __init__(self, controller: HandController) -> None:
         self._controller = controller
@@ -149,17 +148,17 @@ class HandLog(Relay):
             spec: The spec of the trial, without the directions.
             path: The log. It must not exist.
         """
-        with_directions = with_controller(spec, self._controller.given)
+        final_spec = with_controller(spec, self._controller.section_with_directions)
         start = start_of(
-            with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns
+            final_spec, self._start.trial, self._start.plant, self._start.start_unix_ns
         )
         try:
-            with LogWriter(path, part=SAVING) as log:
+            with LogWriter(path, part_suffix=SAVING_SUFFIX) as log:
                 log.on_start(start)
                 for call in self._calls:
                     call(log)
         finally:
-            path.with_name(path.name + SAVING).unlink(missing_ok=True)
+            path.with_name(path.name + SAVING_SUFFIX).unlink(missing_ok=True)
 
 
 def run_by_hand(
@@ -198,7 +197,7 @@ def run_by_hand(
         )
     if controller.directions:
         hand_log.save(spec, path)
-    path.with_name(path.name + TRIAL_PART).unlink()  # last: a crash leaves one log at least
+    path.with_name(path.name + TRIAL_PART_SUFFIX).unlink()  # last: a crash leaves one log at least
     if not controller.directions:
         folder.rmdir()
     return result
@@ -210,12 +209,12 @@ class WallPace(Observer):
     A delay shifts all later steps; the trial does not hurry to make up for it.
 
     Args:
-        wall: The clock of the real world.
+        wall_clock: The clock of the real world.
         speed: Seconds of the trial per second of the clock.
     """
 
-    def __init__(self, wall: Clock, speed: float) -> None:
-        self._wall = wall
+    def __init__(self, wall_clock: Clock, speed: float) -> None:
+        self._wall_clock = wall_clock
         self._speed = speed
         self._due_ns = 0
         self._sent_ns: int | None = None
@@ -226,7 +225,7 @@ class WallPace(Observer):
 
     def on_step(self, step: Step) -> None:
         """Wait until the command of a step is due at the chosen speed."""
-        now_ns = self._wall.now()
+        now_ns = self._wall_clock.now()
         sent_ns = step.command.sent_ns
         if self._sent_ns is None:
             self._due_ns = now_ns
@@ -234,18 +233,18 @@ class WallPace(Observer):
             self._due_ns += round((sent_ns - self._sent_ns) / self._speed)
         self._sent_ns = sent_ns
         self._due_ns = max(self._due_ns, now_ns)
-        self._wall.sleep_until(self._due_ns)
+        self._wall_clock.sleep_until(self._due_ns)
 
 
-class AtEnd(Observer):
-    """An observer that calls `tell` with the result as soon as a trial has ended.
+class EndNotifier(Observer):
+    """An observer that calls `on_end` with the result as soon as a trial has ended.
 
     At this time, the log may not be complete yet.
     """
 
-    def __init__(self, tell: Callable[[Result], None]) -> None:
-        self._tell = tell
+    def __init__(self, on_end: Callable[[Result], None]) -> None:
+        self._on_end = on_end
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Pass the result to `tell`."""
-        self._tell(result)
+        self._on_end(result)

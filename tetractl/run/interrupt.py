@@ -42,7 +42,7 @@ class Interrupt:
         self, notice: Callable[[int], object] = lambda count: None, breaks_at: int = 2
     ) -> None:
         self.count = 0
-        self.terminated = False  # whether SIGTERM was among them, as `tetractl lab stop` sends it
+        self.terminated = False  # whether a request was SIGTERM, which `tetractl lab stop` sends
         self.notice = notice  # called with `count` at each request, in the signal's handler
         self._breaks_at = breaks_at
         self._breakable = False
@@ -55,37 +55,37 @@ class Interrupt:
     def request(self) -> None:
         """Count a request to stop, and call `notice`.
 
-        Raises KeyboardInterrupt in breakable code from request number `breaks_at` on.
+        In breakable code, request number `breaks_at` and later requests raise KeyboardInterrupt.
         """
         self.count += 1
         self.notice(self.count)
-        self._break()
+        self._raise_if_due()
 
-    def let_break(self) -> None:
-        """Make all code breakable from now on, until a KeyboardInterrupt is raised."""
+    def make_breakable(self) -> None:
+        """Make all code breakable, until the next KeyboardInterrupt is raised."""
         self._breakable = True
 
     @contextmanager
-    def watch(self, robots: bool = False) -> Iterator[None]:
+    def watch(self, robots_move: bool = False) -> Iterator[None]:
         """Count signals inside the `with` block as requests to stop. Only for the main thread.
 
-        If `robots` move, the process must not be suspended, because it could not stop them then.
-        Therefore Ctrl-Z is also a request, and using the terminal from the background suspends
-        nothing.
+        If `robots_move` is True, the process must not be suspended, because it could not stop the
+        robots then. Therefore Ctrl-Z is also a request, and using the terminal from the background
+        suspends nothing.
         """
         handlers: dict[int, Handler] = dict.fromkeys(STOP_SIGNALS, self._on_signal)
-        if robots and hasattr(signal, "SIGTSTP"):  # Windows suspends nothing
+        if robots_move and hasattr(signal, "SIGTSTP"):  # Windows suspends nothing
             handlers[signal.SIGTSTP] = self._on_signal
             handlers[signal.SIGTTIN] = signal.SIG_IGN
             handlers[signal.SIGTTOU] = signal.SIG_IGN
-        before = _install(handlers)
-        unraisable = sys.unraisablehook
+        previous_handlers = _install(handlers)
+        previous_hook = sys.unraisablehook
         sys.unraisablehook = self.on_unraisable
         try:
             yield
         finally:
-            sys.unraisablehook = unraisable
-            _install(before)
+            sys.unraisablehook = previous_hook
+            _install(previous_handlers)
 
     @contextmanager
     def breakable(self) -> Iterator[None]:
@@ -97,7 +97,7 @@ class Interrupt:
         """
         self._breakable = True
         try:
-            self._break()
+            self._raise_if_due()
             yield
         except Exception as error:
             if self.count >= self._breaks_at:
@@ -106,14 +106,14 @@ class Interrupt:
         finally:
             self._breakable = False
 
-    def _break(self) -> None:
+    def _raise_if_due(self) -> None:
         """Raise KeyboardInterrupt once, if the code is breakable and enough requests have come."""
         if self._breakable and self.count >= self._breaks_at:
             self._breakable = False
             raise KeyboardInterrupt
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        self.terminated = self.terminated or number == signal.SIGTERM
+    def _on_signal(self, signal_number: int, frame: FrameType | None) -> None:
+        self.terminated = self.terminated or signal_number == signal.SIGTERM
         self.request()
 
     def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
@@ -122,50 +122,53 @@ class Interrupt:
         Other exceptions are reported as usual.
         """
         if issubclass(lost.exc_type, KeyboardInterrupt):
-            self.let_break()
+            self.make_breakable()
         else:
             sys.__unraisablehook__(lost)
 
 
 @contextmanager
-def interrupted_once(robots: bool = False) -> Iterator[None]:
+def interrupted_once(robots_move: bool = False) -> Iterator[None]:
     """Raise KeyboardInterrupt in the block at the first signal, and ignore later signals.
 
     No signal then interrupts the `finally` clauses that stop robots or restore a terminal.
-    `robots` is passed to `Interrupt.watch`. Only for the main thread.
+    `robots_move` is passed to `Interrupt.watch`. Only for the main thread.
     """
-    once = Interrupt(breaks_at=1)
-    once.let_break()
-    with once.watch(robots):
+    interrupt = Interrupt(breaks_at=1)
+    interrupt.make_breakable()
+    with interrupt.watch(robots_move):
         yield
 
 
-def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
-    """End the process immediately at the next signal, with the exit code `code`.
+def leave_on_signals(exit_code: int, before_exit: Callable[[], object] = lambda: None) -> None:
+    """End the process immediately at the next signal.
 
-    `say` is called before. This is for code that has nothing to stop or to close, where a
-    KeyboardInterrupt during an import could be printed as a traceback and then ignored. Main thread
-    only.
+    This is for code that has nothing to stop or to close. There, a KeyboardInterrupt during an
+    import could be printed as a traceback and then ignored. Only for the main thread.
+
+    Args:
+        exit_code: Exit code of the process.
+        before_exit: Called before the process ends.
     """
-    _install(dict.fromkeys(STOP_SIGNALS, _Leave(code, say)))
-    LISTENER.start()
+    _install(dict.fromkeys(STOP_SIGNALS, _ExitHandler(exit_code, before_exit)))
+    SIGNAL_LISTENER.start()
 
 
-class _Leave:
+class _ExitHandler:
     """A handler of signals that calls a function and ends the process at the first signal."""
 
-    def __init__(self, code: int, say: Callable[[], object]) -> None:
-        self._code = code
-        self._say = say
-        self._once = threading.Lock()
+    def __init__(self, exit_code: int, before_exit: Callable[[], object]) -> None:
+        self._exit_code = exit_code
+        self._before_exit = before_exit
+        self._first_call = threading.Lock()
 
     def __call__(self, number: int, frame: FrameType | None = None) -> None:
-        if self._once.acquire(blocking=False):
-            self._say()
-            os._exit(self._code)
+        if self._first_call.acquire(blocking=False):
+            self._before_exit()
+            os._exit(self._exit_code)
 
 
-class _Listener:
+class _SignalListener:
     """A thread that ends the process at a signal whose handler would end it.
 
     Python calls a handler only when the main thread returns from compiled code, which may take
@@ -174,8 +177,8 @@ class _Listener:
     """
 
     def __init__(self) -> None:
-        self._signals: socket.socket | None = None  # a byte, its number, for each signal
-        self._lock = threading.Lock()  # no handler changes between a signal and its handler
+        self._signal_socket: socket.socket | None = None  # a byte, its number, for each signal
+        self._lock = threading.Lock()  # handlers do not change while one is looked up and called
 
     def start(self) -> None:
         """Start the thread, once.
@@ -183,16 +186,16 @@ class _Listener:
         In a forked process, the signals would go to the parent's thread. Therefore, a forked
         process sends none.
         """
-        if self._signals is not None:
+        if self._signal_socket is not None:
             return
-        self._signals, tells = socket.socketpair()
-        self._signals.setblocking(False)
-        tells.setblocking(False)
-        signal.set_wakeup_fd(tells.detach(), warn_on_full_buffer=False)
+        self._signal_socket, wakeup_socket = socket.socketpair()
+        self._signal_socket.setblocking(False)
+        wakeup_socket.setblocking(False)
+        signal.set_wakeup_fd(wakeup_socket.detach(), warn_on_full_buffer=False)
         if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
             os.register_at_fork(after_in_child=self._end_in_child)
         threading.Thread(
-            target=self._listen, args=(self._signals,), name="signals", daemon=True
+            target=self._listen, args=(self._signal_socket,), name="signals", daemon=True
         ).start()
 
     @contextmanager
@@ -203,9 +206,9 @@ class _Listener:
         """
         with self._lock:
             yield
-            if self._signals is not None:
+            if self._signal_socket is not None:
                 with suppress(BlockingIOError):
-                    while self._signals.recv(1024):
+                    while self._signal_socket.recv(1024):
                         pass
 
     def _listen(self, signals: socket.socket) -> None:
@@ -214,38 +217,38 @@ class _Listener:
             with self._lock, suppress(BlockingIOError):  # it was forgotten
                 (number,) = signals.recv(1)
                 handler = signal.getsignal(number)
-                if isinstance(handler, _Leave):
+                if isinstance(handler, _ExitHandler):
                     handler(number)
 
     def _end_in_child(self) -> None:
         signal.set_wakeup_fd(-1)
-        self._signals = None
+        self._signal_socket = None
 
 
-LISTENER = _Listener()
+SIGNAL_LISTENER = _SignalListener()
 
 
 def ignore_signals() -> None:
-    """Ignore all signals from now on.
+    """Ignore all further signals.
 
-    This is called before the interpreter ends, which removes all other handlers.
+    This function is called before the interpreter ends, which removes all other handlers.
     """
     _install(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
 
 
 def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
-    """Set handlers of signals, and return the previous handlers.
+    """Set signal handlers, and return the previous handlers, by signal number.
 
     Under `nohup`, SIGHUP stays ignored. Handlers that a program using tetractl has set are kept,
     except those of Ctrl-C and SIGTERM.
     """
-    before: dict[int, Handler] = {}
-    with LISTENER.changing():
-        for number, handler in handlers.items():
-            now = signal.getsignal(number)
-            stays = number == getattr(signal, "SIGHUP", None) and now == signal.SIG_IGN
-            if number not in (signal.SIGINT, signal.SIGTERM):
-                stays |= callable(now) and now.__module__ != __name__
-            if not stays and now is not None and handler is not None:
-                before[number] = signal.signal(number, handler)
-    return before
+    previous_handlers: dict[int, Handler] = {}
+    with SIGNAL_LISTENER.changing():
+        for signal_number, handler in handlers.items():
+            current = signal.getsignal(signal_number)
+            is_kept = signal_number == getattr(signal, "SIGHUP", None) and current == signal.SIG_IGN
+            if signal_number not in (signal.SIGINT, signal.SIGTERM):
+                is_kept |= callable(current) and current.__module__ != __name__
+            if not is_kept and current is not None and handler is not None:
+                previous_handlers[signal_number] = signal.signal(signal_number, handler)
+    return previous_handlers

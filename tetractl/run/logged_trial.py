@@ -35,11 +35,11 @@ def run_logged(
     Args:
         spec: The spec.
         folder: The folder of the log.
-        trial: The number of the trial.
-        observers: Objects that are also notified of every event, each in a thread of its own if the
-            trial runs in real time.
-        interrupt: Ends the trial on request; by default, nothing else does.
-        supervision: Supervises the lab; by default this process does.
+        trial: Index of the trial, from 0.
+        observers: Objects that are also notified of every event. Each has a thread of its own if
+            the trial runs in real time.
+        interrupt: Ends the trial on request. By default, nobody can request that.
+        supervision: How people supervise a lab. By default, nobody does.
     """
     with LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log:
         return run_with_log(log, spec, trial, observers, interrupt, supervision)
@@ -55,17 +55,17 @@ def run_with_log(
     recorders: Sequence[Observer] = (),
     controller: Controller | None = None,
 ) -> Result:
-    """Run a trial of a spec, whose log has been opened.
+    """Run a trial of a spec, and write it to a log that has been opened.
 
     Args:
         log: The writer of the log.
         spec: The spec.
-        trial: The number of the trial.
+        trial: Index of the trial, from 0.
         observers: See `run_logged`.
         interrupt: See `run_logged`.
         supervision: See `run_logged`.
         recorders: Observers that the loop's own thread calls, after the writer of the log.
-        controller: Steers the robots; by default the spec's controller does.
+        controller: Steers the robots. By default, the spec's controller does.
     """
     interrupt = interrupt or Interrupt()
     supervision = supervision or replace(own_supervision(interrupt), fail_log=log.fail)
@@ -73,6 +73,6 @@ def run_with_log(
         relayed(observers, spec.experiment.plant.real_time) as relays,
         ready_trial(
             spec, trial, [log, *recorders, *relays], interrupt, supervision, controller
-        ) as ready,
+        ) as control_loop,
     ):
-        return ready.run()
+        return control_loop.run()

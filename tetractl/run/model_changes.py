@@ -30,35 +30,45 @@ from tetractl.spec.lab_section import LabSection
 from tetractl.spec.section_abilities import Accepting
 
 CHANGE_STDS = 3.0
-"""Minimum change of an estimate that is reported, in standard deviations."""
+"""Minimum difference of an estimate from the spec that is reported, in standard deviations."""
 FITS_AGAIN_AFTER_S = 5.0
 """Time without a mismatch after which the model counts as fitting again [s]."""
-DEAD_TIME_ERROR_S = 0.025
+DEAD_TIME_ERROR_MIN_S = 0.025
 """Minimum error of the spec's dead time that is reported [s]: the time between two commands at
 the 40 Hz of `twist` robots. A robot that misses a command obeys the next one, so lost commands
 alone make the estimate differ by up to this time, and no field of the spec is wrong then."""
-LATE_ROBOT_S = 0.05
+LATE_ROBOT_MIN_S = 0.05
 """Minimum difference between two robots' dead times that is reported [s]. The reason is in
 docs/decisions/filter.md."""
-LATE_ROBOT_FOR_S = 2.0
-"""Time for which that difference must last before it is reported [s]. While the filter starts its
-bank of hypotheses again, the dead times differ for a moment."""
-STANDS_FOR_S = 0.15
-"""Minimum time for which a robot has to stand before that is reported [s]."""
-STANDS_FRACTION = 0.1
-"""Maximum way in this time, as a fraction of the way that the robot would drive; chosen."""
-ONE_SIDED = 0.5
-"""Minimum mean of the deviations that have a direction, as a fraction of their root mean square;
-chosen."""
-DIRECTIONS = {
+LATE_ROBOT_DURATION_S = 2.0
+"""Time for which LATE_ROBOT_MIN_S must be exceeded before a late robot is reported [s].
+
+While the filter restarts its bank of hypotheses, the dead times differ for a moment.
+"""
+STANDING_TIME_MIN_S = 0.15
+"""Minimum time for which a robot must stand still before it is reported [s]."""
+STANDING_FRACTION_MAX = 0.1
+"""Maximum distance that a standing robot moves in this time; chosen.
+
+The value is a fraction of the distance that the robot would drive.
+"""
+ONE_SIDED_MEAN_MIN = 0.5
+"""Minimum mean of deviations for which the message names one direction; chosen.
+
+The value is a fraction of the deviations' root mean square.
+"""
+DEVIATION_DIRECTIONS = {
     "along-track motion": ("ahead", "behind"),
     "cross-track motion": ("to the left", "to the right"),
     "heading": ("to the left", "to the right"),
 }
 """The directions of a positive and of a negative deviation, for each of INNOVATIONS."""
-DEAD_TIME = "controller.dead_time"
-LATENCY = "lab.camera.latency"
-HOST_DELAY = "the host's delay (plant.drive.lead, lab.actuator.delay)"
+DEAD_TIME_FIELD = "controller.dead_time"
+"""Field of the spec that states the dead time."""
+LATENCY_FIELD = "lab.camera.latency"
+"""Field of the spec that states the latency of a lab's camera."""
+HOST_DELAY_FIELDS = "the host's delay (plant.drive.lead, lab.actuator.delay)"
+"""Fields of the spec that state the delay in the host of robots on wheels, as a user knows them."""
 NOISE_UNSTATED = (
     "headings are not as predicted, and the spec does not state the camera's noise: "
     "controller.prior.position_noise, heading_noise"
@@ -86,14 +96,14 @@ class StatedModel:
 
     Attributes:
         dead_time_s: Time from sending a command until it acts [s].
-        delays: Fields of the spec that are part of this time, as the user knows them. If the
+        delay_fields: Fields of the spec that are part of this time, as the user knows them. If the
             estimated time differs, one of them is wrong.
         lacks_noise: True if robots without wheels are seen by a camera whose noise the spec does
             not state.
     """
 
     dead_time_s: float
-    delays: tuple[str, ...] = (DEAD_TIME,)
+    delay_fields: tuple[str, ...] = (DEAD_TIME_FIELD,)
     lacks_noise: bool = False
 
 
@@ -104,11 +114,11 @@ def stated_model(experiment: Experiment) -> StatedModel:
     lacks_noise = False
     if isinstance(control, Accepting) and not experiment.setup.on_wheels:
         lacks_noise = control.prior.position_noise == 0 or control.prior.heading_noise == 0
-    delays = [DEAD_TIME]
+    delays = [DEAD_TIME_FIELD]
     if isinstance(plant, LabSection) and hasattr(plant.camera, "latency"):
-        delays.append(LATENCY)
+        delays.append(LATENCY_FIELD)
     if experiment.setup.on_wheels:
-        delays.append(HOST_DELAY)
+        delays.append(HOST_DELAY_FIELDS)
     return StatedModel(control.dead_time, tuple(delays), lacks_noise)
 
 
@@ -123,9 +133,9 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
     std_s = estimate.dead_time_std
     if estimated_s is None or std_s is None:
         return ""
-    if abs(estimated_s - stated.dead_time_s) <= max(DEAD_TIME_ERROR_S, CHANGE_STDS * std_s):
+    if abs(estimated_s - stated.dead_time_s) <= max(DEAD_TIME_ERROR_MIN_S, CHANGE_STDS * std_s):
         return ""
-    delays = " or ".join(stated.delays)
+    delays = " or ".join(stated.delay_fields)
     order = "later" if estimated_s > stated.dead_time_s else "earlier"
     return (
         f"commands act {order} than {stated.dead_time_s:.3f} s after they are sent, as the spec "
@@ -159,18 +169,18 @@ def describe_turning(estimate: Estimate, robot: int) -> str:
 
     The result is empty if it does not differ significantly. `robot` is the robot's index.
     """
-    parts = list[str]()
+    descriptions = list[str]()
     side = estimate.side
     std = estimate.side_std
     saturation = estimate.saturation
     if side is not None and std is not None and abs(side[robot]) > CHANGE_STDS * std[robot]:
         faster_side = "left" if side[robot] > 0 else "right"
         percent = 100 * expm1(2 * abs(side[robot]))
-        parts.append(f"turns {percent:.0f} % faster to the {faster_side}")
+        descriptions.append(f"turns {percent:.0f} % faster to the {faster_side}")
     if saturation is not None and side is not None and saturation[robot] < 1:
         max_rate = estimate.a[robot] * exp(abs(side[robot])) * saturation[robot]
-        parts.append(f"turns at {max_rate:.2g} rad/s at most")
-    return ", ".join(parts)
+        descriptions.append(f"turns at {max_rate:.2g} rad/s at most")
+    return ", ".join(descriptions)
 
 
 def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: str) -> str:
@@ -193,8 +203,8 @@ def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: st
         return f"turns about {100 * abs(extra_turn):.0f} % {order} than predicted"
     mean = errors.mean[robot, column]
     rms = errors.rms[robot, column]
-    directions = DIRECTIONS[part]
-    if abs(mean) < ONE_SIDED * rms:
+    directions = DEVIATION_DIRECTIONS[part]
+    if abs(mean) < ONE_SIDED_MEAN_MIN * rms:
         direction = " or ".join(directions)
     else:
         direction = directions[0] if mean > 0 else directions[1]
@@ -235,11 +245,11 @@ class Mismatch:
 
     Attributes:
         last_seen_ns: Time of the last estimate with an unexplained part [ns].
-        parts: The parts that were unexplained so far, such as "heading of red".
+        unexplained_parts: The parts that were unexplained so far, such as "heading of red".
     """
 
     last_seen_ns: int
-    parts: set[str]
+    unexplained_parts: set[str]
 
 
 def model_monitor(experiment: Experiment) -> "ModelMonitor":
@@ -248,8 +258,13 @@ def model_monitor(experiment: Experiment) -> "ModelMonitor":
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """A robot that seems to stand still: since when, and where [length unit], shape (2,)."""
+class StandingRobot:
+    """A robot that seems to stand still.
+
+    Attributes:
+        since_ns: Time since which the robot has stood [ns].
+        xy: Position of the robot at that time, shape (2,) [length unit].
+    """
 
     since_ns: int
     xy: Floats
@@ -269,11 +284,15 @@ class ModelMonitor:
     def __init__(self, stated: StatedModel | None = None) -> None:
         self._stated = stated
         self._reported: set[str] = set()
-        self._late_since_ns: dict[str, int] = {}  # by the name of each robot that is late now
-        self._standing: dict[str, Standing] = {}  # by the name of each robot that seems to stand
+        self._late_since_ns_by_name: dict[
+            str, int
+        ] = {}  # by the name of each robot that is late now
+        self._standing_robots_by_name: dict[
+            str, StandingRobot
+        ] = {}  # by the name of each robot that seems to stand
         self._mismatch: Mismatch | None = None
-        self._began_ns: int | None = None  # when the first estimate was made
-        self._unfit_ns = 0  # when the model did not fit last
+        self._first_estimate_ns: int | None = None  # when the first estimate was made
+        self._last_mismatch_ns = 0  # when the model did not fit last
 
     def notices(
         self, estimate: Estimate, setup: Setup, now_ns: int, frame: Observation
@@ -311,17 +330,18 @@ class ModelMonitor:
         return notices
 
     def _has_sound_values(self, estimate: Estimate, now_ns: int) -> bool:
-        """Check whether the model has fitted for FITS_AGAIN_AFTER_S.
+        """Check whether the model has fitted long enough for its values to be reported.
 
-        It must also have fitted earlier, except for as long at the start, while the filters learn.
+        The model must have fitted for the last FITS_AGAIN_AFTER_S. It must also have fitted before,
+        except during the first FITS_AGAIN_AFTER_S, while the filters learn.
         """
         enough_ns = FITS_AGAIN_AFTER_S * SECOND
-        if self._began_ns is None:
-            self._began_ns = self._unfit_ns = now_ns
+        if self._first_estimate_ns is None:
+            self._first_estimate_ns = self._last_mismatch_ns = now_ns
         if not estimate.fits:
-            self._unfit_ns = now_ns
-        fits_long_enough = now_ns - self._unfit_ns >= enough_ns
-        return fits_long_enough and self._unfit_ns - self._began_ns <= enough_ns
+            self._last_mismatch_ns = now_ns
+        fits_long_enough = now_ns - self._last_mismatch_ns >= enough_ns
+        return fits_long_enough and self._last_mismatch_ns - self._first_estimate_ns <= enough_ns
 
     def _add_once(self, notices: list[Notice], notice: Notice, key: str = "") -> None:
         """Add a notice, unless one with the same key was added before in this trial.
@@ -336,23 +356,23 @@ class ModelMonitor:
     def _standing_robots(
         self, estimate: Estimate, setup: Setup, frame: Observation
     ) -> Iterator[str]:
-        """Yield the robots that stand by the filters, and that do not move in the frames.
+        """Yield the robots that stand still, according to both the filters and the camera frames.
 
         The filters alone do not suffice: if their model is wrong, the likeliest of their hypotheses
         may be that a robot stands still although it drives.
         """
-        before = self._standing
-        self._standing = {}
-        names = estimate.standing(setup.names)
+        previous_by_name = self._standing_robots_by_name
+        self._standing_robots_by_name = {}
+        filter_names = estimate.standing(setup.names)
         for i, name in enumerate(setup.names):
-            if name not in names or not frame.valid[i]:
+            if name not in filter_names or not frame.valid[i]:
                 continue
             xy = frame.poses.xy[i]
-            standing = before.get(name, Standing(frame.sampled_ns, xy))
-            self._standing[name] = standing
-            seconds = (frame.sampled_ns - standing.since_ns) / SECOND
-            way_max = STANDS_FRACTION * setup.speed[i] * seconds
-            if seconds >= STANDS_FOR_S and hypot(*(xy - standing.xy)) <= way_max:
+            standing = previous_by_name.get(name, StandingRobot(frame.sampled_ns, xy))
+            self._standing_robots_by_name[name] = standing
+            standing_s = (frame.sampled_ns - standing.since_ns) / SECOND
+            distance_max = STANDING_FRACTION_MAX * setup.speed[i] * standing_s
+            if standing_s >= STANDING_TIME_MIN_S and hypot(*(xy - standing.xy)) <= distance_max:
                 yield name
 
     def _late_robots(self, estimate: Estimate, setup: Setup, now_ns: int) -> list[tuple[str, str]]:
@@ -361,27 +381,27 @@ class ModelMonitor:
         Returns:
             The name of each such robot, and a description.
         """
-        since_ns_before = self._late_since_ns
-        self._late_since_ns = {}
+        previous_since_ns = self._late_since_ns_by_name
+        self._late_since_ns_by_name = {}
         delays_s = estimate.own_dead_time
         stds_s = estimate.own_dead_time_std
         if delays_s is None or stds_s is None:
             return []
-        late = list[tuple[str, str]]()
+        late_robots = list[tuple[str, str]]()
         quickest = int(delays_s.argmin())
         for i, name in enumerate(setup.names):
             difference_s = delays_s[i] - delays_s[quickest]
             significant_s = CHANGE_STDS * hypot(stds_s[i], stds_s[quickest])
-            if difference_s <= max(LATE_ROBOT_S, significant_s):
+            if difference_s <= max(LATE_ROBOT_MIN_S, significant_s):
                 continue
-            self._late_since_ns[name] = since_ns_before.get(name, now_ns)
-            if now_ns - self._late_since_ns[name] >= LATE_ROBOT_FOR_S * SECOND:
+            self._late_since_ns_by_name[name] = previous_since_ns.get(name, now_ns)
+            if now_ns - self._late_since_ns_by_name[name] >= LATE_ROBOT_DURATION_S * SECOND:
                 text = (
                     f"commands act on {name} about {difference_s:.2f} s later than on "
                     f"{setup.names[quickest]}, or even later"
                 )
-                late.append((name, text))
-        return late
+                late_robots.append((name, text))
+        return late_robots
 
     def _note_mismatch(
         self,
@@ -390,13 +410,13 @@ class ModelMonitor:
         estimate: Estimate,
         now_ns: int,
     ) -> None:
-        """Record that the model does not fit now, and add notices of what is new about that."""
+        """Record that the model does not fit, and add notices about newly unexplained parts."""
         if self._mismatch is None:
             self._mismatch = Mismatch(now_ns, set())
         self._mismatch.last_seen_ns = now_ns
-        new_parts = unexplained.keys() - self._mismatch.parts
+        new_parts = unexplained.keys() - self._mismatch.unexplained_parts
         if new_parts:
-            self._mismatch.parts |= new_parts
+            self._mismatch.unexplained_parts |= new_parts
             parts = ", ".join(part + unexplained[part] for part in sorted(new_parts))
             notices.append(Notice("warning", f"the model does not fit: {parts}"))
         if self._stated is not None:

@@ -38,10 +38,13 @@ from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
 from tetractl.tools.files import make_folder
 
-SIMULATED = PlantInfo("", True, 0.0, {})
-"""The description of the plant before it is open."""
-FIRST_SENT = 0.0
-"""Placeholder for the directions of the section of `sequence`, which needs at least one [rad]."""
+UNOPENED_PLANT = PlantInfo("", True, 0.0, {})
+"""The description of a plant that is not open yet."""
+PLACEHOLDER_DIRECTION = 0.0
+"""Direction in the section of `sequence` before the script has sent one [rad].
+
+The section must have at least one direction.
+"""
 
 
 def directed_spec(spec: LoadedSpec) -> LoadedSpec:
@@ -63,7 +66,7 @@ def directed_spec(spec: LoadedSpec) -> LoadedSpec:
         dead_time=control.dead_time,
         time_limit=control.time_limit,
         arrival_tolerance=control.arrival_tolerance,
-        directions=(FIRST_SENT,),
+        directions=(PLACEHOLDER_DIRECTION,),
     )
     return parse_spec(with_controller(spec, section).text, spec.name)
 
@@ -79,7 +82,7 @@ class TruthWatch(Observer):
     def __init__(self, setup: Setup) -> None:
         self._arena = setup.arena
         self._obstacles = Obstacles.from_shapes(setup.obstacles)
-        self._last: Poses | None = None
+        self._last_poses: Poses | None = None
         self.failed = False
         """Whether any robot has truly entered an obstacle or left the arena so far."""
 
@@ -88,19 +91,19 @@ class TruthWatch(Observer):
         poses = [sample.truth for sample in samples if sample.truth is not None]
         if not poses:
             return
-        before = [poses[0] if self._last is None else self._last, *poses[:-1]]
-        self._last = poses[-1]
+        previous_poses = [poses[0] if self._last_poses is None else self._last_poses, *poses[:-1]]
+        self._last_poses = poses[-1]
         x = np.array([pose.x for pose in poses])
         y = np.array([pose.y for pose in poses])
-        x_before = np.array([pose.x for pose in before])
-        y_before = np.array([pose.y for pose in before])
+        x_before = np.array([pose.x for pose in previous_poses])
+        y_before = np.array([pose.y for pose in previous_poses])
         outside = self._arena.depth_inside(x, y) < 0
         entered = self._obstacles.meets_segments(x_before, y_before, x, y)
         self.failed = self.failed or bool(outside.any() or entered.any())
 
 
 class DroppedError(BaseException):
-    """Raised to end a trial whose script has dropped it, and does not want its result."""
+    """The signal that ends a trial because its script has dropped it and needs no result."""
 
 
 class AskingController:
@@ -112,9 +115,9 @@ class AskingController:
 
     def __init__(self, sequence: SequenceController) -> None:
         self._sequence = sequence
-        self.asked = SimpleQueue[Observation | Result | BaseException]()
+        self.messages_to_script = SimpleQueue[Observation | Result | BaseException]()
         """Frames for which the script has to decide, and finally the trial's result or error."""
-        self.answers = SimpleQueue[Plan | Outcome | None]()
+        self.decisions = SimpleQueue[Plan | Outcome | None]()
         """The script's decisions. None if the script drops the trial."""
 
     def plan(
@@ -127,23 +130,23 @@ class AskingController:
         state = self._sequence.step(observation, last_command)
         if isinstance(state, Outcome):
             return state
-        self.asked.put(observation)
-        answer = self.answers.get()
-        if answer is None:
+        self.messages_to_script.put(observation)
+        decision = self.decisions.get()
+        if decision is None:
             raise DroppedError
-        return answer
+        return decision
 
     def run(self, trial: Trial) -> None:
         """Run a trial with this controller, and pass its result or error to the script."""
         try:
-            self.asked.put(trial.run())
+            self.messages_to_script.put(trial.run())
         except BaseException as error:  # the script raises it
-            self.asked.put(error)
+            self.messages_to_script.put(error)
 
 
-def drop(answers: SimpleQueue[Plan | Outcome | None], thread: threading.Thread) -> None:
-    """End a trial that waits for an answer, and wait until it has ended."""
-    answers.put(None)
+def drop_trial(decisions: SimpleQueue[Plan | Outcome | None], thread: threading.Thread) -> None:
+    """End a trial that waits for the script's decision, and wait until its thread has ended."""
+    decisions.put(None)
     thread.join()
 
 
@@ -155,9 +158,9 @@ class OpenTrial:
     like a stopped trial, but without a result.
 
     Args:
-        spec: The spec.
-        trial: Index of the trial.
-        seed: Seed of the trials.
+        spec: The spec, from `directed_spec`.
+        trial: Index of the trial, from 0.
+        seed: Root seed, which determines the random numbers of all trials of the spec.
     """
 
     def __init__(self, spec: LoadedSpec, trial: int, seed: int) -> None:
@@ -168,20 +171,20 @@ class OpenTrial:
         self._trial = whole_number(trial, "a trial")
         self._seed = whole_number(seed, "a seed")
         self._directions: list[float] = []
-        self._truth = TruthWatch(experiment.setup)
+        self._truth_watch = TruthWatch(experiment.setup)
         key, plant_seed = trial_seeds(self._seed, self._trial)
         self._controller = AskingController(SequenceController(section, experiment.setup, key))
         clock = experiment.plant.clock()
-        ready = Trial(
-            start=replace(start_of(spec, self._trial, SIMULATED, EPOCH_NS), seed=self._seed),
+        control_loop = Trial(
+            start=replace(start_of(spec, self._trial, UNOPENED_PLANT, EPOCH_NS), seed=self._seed),
             plant=experiment.plant.build(experiment.setup, clock, plant_seed, LabSupervision()),
             controller=self._controller,
             clock=clock,
-            observers=[self._truth],
+            observers=[self._truth_watch],
             interrupt=Interrupt(),
         )
-        thread = threading.Thread(target=self._controller.run, args=(ready,), daemon=True)
-        self._drop = weakref.finalize(self, drop, self._controller.answers, thread)
+        thread = threading.Thread(target=self._controller.run, args=(control_loop,), daemon=True)
+        self._drop_trial = weakref.finalize(self, drop_trial, self._controller.decisions, thread)
         self._result: Result | None = None
         self._observation: Observation
         thread.start()
@@ -222,7 +225,7 @@ class OpenTrial:
     def failed(self) -> bool:
         """Whether a robot has truly entered an obstacle or left the arena so far."""
         if self._result is None:
-            return self._truth.failed
+            return self._truth_watch.failed
         verdict = self._result.verdict
         return any(verdict.entered) or any(edge < 0 for edge in verdict.edge)
 
@@ -243,7 +246,7 @@ class OpenTrial:
         if not math.isfinite(direction):
             raise UsageError("a direction must be a finite number [rad]")
         self._directions.append(direction)
-        self._controller.answers.put(self._plan(direction))
+        self._controller.decisions.put(self._single_direction_plan(direction))
         self._wait()
         return self.observation
 
@@ -258,7 +261,7 @@ class OpenTrial:
             raise UsageError(
                 "a trial must have at least one direction", "call step() before you stop the trial"
             )
-        self._controller.answers.put(Outcome.SEQUENCE_COMPLETED)
+        self._controller.decisions.put(Outcome.SEQUENCE_COMPLETED)
         self._wait()
         assert self._result is not None
         return self._result
@@ -304,21 +307,21 @@ class OpenTrial:
 
     def _demand_open(self) -> None:
         """Raise UsageError if the trial has ended."""
-        if not self._drop.alive:
+        if not self._drop_trial.alive:
             raise UsageError("the trial was cut short by an error", "open another trial")
         if self._result is not None:
             outcome = self._result.outcome.value
             raise UsageError(f"the trial has already ended: {outcome}", "open another trial")
 
-    def _plan(self, direction: float) -> Plan:
+    def _single_direction_plan(self, direction: float) -> Plan:
         """Create a plan with a single direction.
 
         It lacks the prediction that the log from `save` contains.
         """
-        unknown = np.empty((0, len(self.setup.names), 3))
+        no_path = np.empty((0, len(self.setup.names), 3))
         return Plan(
             signals=np.array([direction]),
-            path=unknown,
+            path=no_path,
             cost=math.nan,
             target_cost=math.nan,
             obstacle_cost=math.nan,
@@ -333,19 +336,19 @@ class OpenTrial:
         Anything that interrupts the wait, such as Ctrl-C, ends the trial without a result.
         """
         try:
-            said = self._controller.asked.get()
-            if isinstance(said, BaseException):
-                raise said
+            message = self._controller.messages_to_script.get()
+            if isinstance(message, BaseException):
+                raise message
         except BaseException:
-            self._drop()
+            self._drop_trial()
             raise
-        if isinstance(said, Observation):
-            self._observation = said
+        if isinstance(message, Observation):
+            self._observation = message
             return
         # virtual time stands still while a script thinks: it is never late
-        self._result = replace(said, solve_ns=(0,) * said.steps, deadline_misses=0)
+        self._result = replace(message, solve_ns=(0,) * message.steps, deadline_misses=0)
 
 
 def _outcome_of(result: Result) -> tuple[object, ...]:
-    """Return the part of a result that is the same whenever a simulated trial is repeated."""
+    """Return the values of a result that are the same whenever a simulated trial is repeated."""
     return result.outcome, result.steps, result.duration_s, result.robot_errors

@@ -38,7 +38,7 @@ from tetractl.spec.section_abilities import (
 from tetractl.spec.yaml.document import Document
 from tetractl.spec.yaml.problems import Loc, SpecProblem, dotted
 
-COARSE = 2.0
+TURN_PER_SIGNAL_MAX = 2.0
 """Maximum product of turning rate a and duration T of a signal, above which a warning is given.
 
 Above it, headings computed with the paper's equation (6) oscillate with a growing amplitude.
@@ -48,30 +48,33 @@ A_MAX = 60.0
 
 The fastest published here, a microjet, has 25 rad/s.
 """
-WHEELS_M = (0.005, 0.3)
+WHEEL_RADIUS_RANGE_M = (0.005, 0.3)
 """Minimum and maximum plausible distance of a wheel from the centre [m].
 
 toio cubes have 0.013, m3pi robots 0.04, the iRobot Create 0.13, and the largest laboratory robots
 0.27.
 """
-OVERSHOOTING = "euler"
+OVERSHOOTING_MOTION = "euler"
 """The kind of motion that computes the heading with the paper's equation (6)."""
-SAME_WITHIN = 0.05
-"""Robots are similar if their turning rates a differ by at most this fraction, and their start
-headings by at most this number of radians.
+SIMILARITY_TOLERANCE = 0.05
+"""Maximum difference between similar robots.
+
+Their turning rates a differ by at most this fraction, and their start headings by at most this
+number of radians.
 """
 SAME_HEADING_RAD = 1e-9
 """Difference below which two start headings count as equal [rad]; it only allows for rounding."""
 NOISE_FACTOR = 0.7
-"""Minimum total error worth asking for, in standard deviations of a measured position for each
-robot. With 0.4 instead of 0.7, trials last longer, and their error hardly decreases
+"""Minimum reasonable `accept_error`, in standard deviations of a measured position for each robot.
+
+With 0.4 instead of 0.7, trials last longer, and their error hardly decreases
 (docs/decisions/controller.md).
 """
-ROUNDING = 1e-9
+TIME_TOLERANCE = 1e-9
 """Relative difference below which two times count as equal; it only allows for rounding."""
-ROUNDING_ERROR = 1e-6
+ERROR_TOLERANCE = 1e-6
 """Fraction of the arena's longer side below which a lower bound of the total error counts as 0."""
-NAMED_MAX = 2
+OTHERS_NAMED_MAX = 2
 """If more than four robots are similar, the message names the first and this many more."""
 
 
@@ -83,7 +86,7 @@ class CheckContext:
         self.experiment = experiment
         self.setup = experiment.setup
         self.unit = self.setup.unit
-        self.ends = {"start": self.setup.starts.xy, "target": self.setup.targets}
+        self.points_by_field = {"start": self.setup.starts.xy, "target": self.setup.targets}
         """The points (N, 2) at which robots start and end, under the keys "start" and "target"."""
         self.tolerance = control.arrival_tolerance
         """Distance from its target at which a robot has arrived [length unit]."""
@@ -91,29 +94,29 @@ class CheckContext:
         self.signal_s = control.period * periods
         """Time for which a signal of a plan is held [s]."""
         signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
-        self.plan_s = signals_max * self.signal_s
+        self.plan_max_s = signals_max * self.signal_s
         """Maximum duration of a plan [s]. inf if it is not limited."""
-        self.longest_s = self.setup.time_limit_s
+        self.trial_max_s = self.setup.time_limit_s
         """Maximum time for which robots move in a trial [s]."""
         self.collision = control.collision if isinstance(control, KeepsClear) else None
         """The distances that plans keep. None if they keep none."""
         self.margin = 0.0
         """Distance that plans keep to obstacles, including a robot's radius [length unit]."""
-        self.walls = False
-        """Whether plans keep this distance to the arena's edge, too."""
+        self.avoids_walls = False
+        """Whether plans also keep this distance to the arena's edge."""
         if self.collision is not None:
             self.margin = self.collision.margin + self.collision.radius
-            self.walls = self.collision.walls
+            self.avoids_walls = self.collision.walls
 
     @property
-    def limit(self) -> str:
+    def time_limit_field(self) -> str:
         """The controller's field that limits the trial's time: "steps_max" or "time_limit"."""
         control = self.experiment.controller
         steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
         steps_s = (steps_max + 1) * control.period
-        return "steps_max" if steps_s <= self.longest_s * (1 + ROUNDING) else "time_limit"
+        return "steps_max" if steps_s <= self.trial_max_s * (1 + TIME_TOLERANCE) else "time_limit"
 
-    def is_worth_warning(self, error_min: float, robots: int) -> bool:
+    def is_worth_warning(self, error_min: float, n_robots: int) -> bool:
         """Decide whether a lower bound of the total error of some robots deserves a warning.
 
         It does if it is above the arrival tolerance of all `robots` robots together, and above
@@ -121,22 +124,22 @@ class CheckContext:
         """
         arena = self.setup.arena
         return error_min > max(
-            robots * self.tolerance, ROUNDING_ERROR * max(arena.width, arena.height)
+            n_robots * self.tolerance, ERROR_TOLERANCE * max(arena.width, arena.height)
         )
 
     def clearances(self, points: Floats) -> Floats:
         """Return the distances of points (N, 2) to the nearest obstacle or wall."""
-        return clearance(self.setup, points[:, 0], points[:, 1], self.walls)
+        return clearance(self.setup, points[:, 0], points[:, 1], self.avoids_walls)
 
     def length_text(self, length: float) -> str:
         """Return a length as text, with the unit of the spec, such as "12.5 mm"."""
         return f"{length:.4g} {self.unit}"
 
-    def to_target(self, i: int) -> str:
+    def target_distance_text(self, i: int) -> str:
         """Return the distance from robot i's start to its target as text with its unit."""
         return self.length_text(float(self.setup.starts.distances(self.setup.targets)[i]))
 
-    def driven(self, i: int, seconds: float) -> str:
+    def driven_distance_text(self, i: int, seconds: float) -> str:
         """Return the distance that robot i drives in a time [s], as text with its unit."""
         return self.length_text(self.setup.speed[i] * seconds)
 
@@ -168,7 +171,7 @@ def robots_of_another_size(context: CheckContext) -> Findings:
     if setup.wheel_radius is None:
         return
     radius_m = setup.wheel_radius * setup.metres
-    if not WHEELS_M[0] <= radius_m <= WHEELS_M[1]:
+    if not WHEEL_RADIUS_RANGE_M[0] <= radius_m <= WHEEL_RADIUS_RANGE_M[1]:
         text = f"makes robots whose wheels are {2 * radius_m:.3g} m apart"
         yield SpecFinding(
             ("wheels", "radius"), text, f"is the length unit units.length, {setup.unit}, right?"
@@ -179,39 +182,39 @@ def _angles_in_section(section: BaseModel, location: Loc) -> Iterator[tuple[Loc,
     """Yield location and value of each number in the fields of a section that are angles."""
     fields = type(section).model_fields
     for name, value in section:
-        items = [((*location, name), value)]
+        located_values = [((*location, name), value)]
         if isinstance(value, tuple):
-            items = [((*location, name, index), item) for index, item in enumerate(value)]
-        for item_location, item in items:
-            if isinstance(item, BaseModel):
-                yield from _angles_in_section(item, item_location)
-            elif isinstance(item, float) and ANGLE in fields[name].metadata:
-                yield item_location, item
+            located_values = [((*location, name, index), item) for index, item in enumerate(value)]
+        for item_location, located_value in located_values:
+            if isinstance(located_value, BaseModel):
+                yield from _angles_in_section(located_value, item_location)
+            elif isinstance(located_value, float) and ANGLE in fields[name].metadata:
+                yield item_location, located_value
 
 
 def plan_outlasts_trial(context: CheckContext) -> Findings:
-    """Yield a warning if the longest plan takes longer than the trial."""
-    if not context.longest_s * (1 + ROUNDING) < context.plan_s < math.inf:
+    """Plans that take longer than the trial."""
+    if not context.trial_max_s * (1 + TIME_TOLERANCE) < context.plan_max_s < math.inf:
         return
-    fitting = max(int(context.longest_s / context.signal_s * (1 + ROUNDING)), 1)
+    fitting = max(int(context.trial_max_s / context.signal_s * (1 + TIME_TOLERANCE)), 1)
     yield SpecFinding(
         ("controller", "horizon_max"),
-        f"plans of {context.plan_s:.4g} s are longer than the trial, which ends after "
-        f"{context.longest_s:.4g} s",
-        f"raise controller.{context.limit}, or lower horizon_max to {fitting}",
+        f"plans of {context.plan_max_s:.4g} s are longer than the trial, which ends after "
+        f"{context.trial_max_s:.4g} s",
+        f"raise controller.{context.time_limit_field}, or lower horizon_max to {fitting}",
     )
 
 
-def coarse_period(context: CheckContext) -> Findings:
+def signals_held_too_long(context: CheckContext) -> Findings:
     """Signals held so long that robots finish turning, or overshoot.
 
     An exact motion holds for any period, and one fast robot still differs from the others.
     """
-    rates = context.setup.a * context.signal_s  # a T of each robot
-    coarse = rates[rates > COARSE]
+    turns_per_signal = context.setup.a * context.signal_s  # a T of each robot
+    excessive_turns = turns_per_signal[turns_per_signal > TURN_PER_SIGNAL_MAX]
     control = context.experiment.controller
-    overshoots = isinstance(control, Modelled) and control.motion == OVERSHOOTING
-    if not coarse.size or (coarse.size == 1 and not overshoots):
+    overshoots = isinstance(control, Modelled) and control.motion == OVERSHOOTING_MOTION
+    if not excessive_turns.size or (excessive_turns.size == 1 and not overshoots):
         return
     if overshoots:
         reason = (
@@ -220,20 +223,20 @@ def coarse_period(context: CheckContext) -> Findings:
         )
     else:
         # a small angle to the direction falls by exp(-a T): the slowest of them turns least
-        percent = 100 * -expm1(-float(coarse.min()))
-        reason = f"{coarse.size} robots turn by {percent:.3g} % or more of a turn within T"
-    quickest = int(rates.argmax())
+        percent = 100 * -expm1(-float(excessive_turns.min()))
+        reason = f"{excessive_turns.size} robots turn by {percent:.3g} % or more of a turn within T"
+    quickest = int(turns_per_signal.argmax())
     yield SpecFinding(
         ("controller", "period"),
         f"signals of T = {context.signal_s:.4g} s are too long for "
         f"{context.setup.names[quickest]}: its turning rate a times T is "
-        f"{rates[quickest]:.3g}, above {COARSE:g}: {reason}",
-        f"hold signals for less than {COARSE / context.setup.a[quickest]:.3g} s",
+        f"{turns_per_signal[quickest]:.3g}, above {TURN_PER_SIGNAL_MAX:g}: {reason}",
+        f"hold signals for less than {TURN_PER_SIGNAL_MAX / context.setup.a[quickest]:.3g} s",
     )
 
 
-def unknown_dead_time(context: CheckContext) -> Findings:
-    """A plant's dead time differs from the controller's by more than a control period.
+def wrong_dead_time(context: CheckContext) -> Findings:
+    """A plant's dead time that differs from the controller's by more than a control period.
 
     There is no warning if the controller identifies the dead time.
     """
@@ -255,18 +258,18 @@ def unknown_dead_time(context: CheckContext) -> Findings:
     )
 
 
-def robots_alike(context: CheckContext) -> Findings:
-    """Robots that one signal cannot separate, though their targets require it."""
+def inseparable_robots(context: CheckContext) -> Findings:
+    """Robots that one signal cannot separate, although their targets require it."""
     for group in _groups_of_similar(context.setup):
         similar = context.setup.only(group)
-        as_first = replace(
+        identical_robots = replace(
             similar,
             a=np.full_like(similar.a, similar.a[0]),
             starts=replace(
                 similar.starts, heading=np.full_like(similar.a, similar.starts.heading[0])
             ),
         )
-        error_min = bounds.least_total_error(as_first, context.longest_s)
+        error_min = bounds.least_total_error(identical_robots, context.trial_max_s)
         if context.is_worth_warning(error_min, len(group)):
             yield SpecFinding(
                 ("robots", group[1], "a"),
@@ -285,8 +288,10 @@ def _groups_of_similar(setup: Setup) -> Iterator[list[int]]:
     ungrouped = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if ungrouped[i]:
-            same_a = np.abs(setup.a - setup.a[i]) <= SAME_WITHIN * np.maximum(setup.a, setup.a[i])
-            same_heading = np.abs(wrap(heading - heading[i])) <= SAME_WITHIN
+            same_a = np.abs(setup.a - setup.a[i]) <= SIMILARITY_TOLERANCE * np.maximum(
+                setup.a, setup.a[i]
+            )
+            same_heading = np.abs(wrap(heading - heading[i])) <= SIMILARITY_TOLERANCE
             group = ungrouped & same_a & same_heading
             ungrouped &= ~group
             if group.sum() > 1:
@@ -294,80 +299,85 @@ def _groups_of_similar(setup: Setup) -> Iterator[list[int]]:
 
 
 def _describe_similar(similar: Setup, error_min: str) -> str:
-    """Describe why robots are similar, with the lower bound `error_min` of their total error."""
-    first, *others = similar.names
-    names_of_others = _join_names(others)
-    robots = len(similar.names)
-    spread = float(np.ptp(similar.a) / similar.a.mean())
+    """Describe how similar some robots are.
+
+    Args:
+        similar: The setup of only the similar robots.
+        error_min: The lower bound of their total error, as text with its unit.
+    """
+    first_name, *other_names = similar.names
+    others_text = _join_names(other_names)
+    n_robots = len(similar.names)
+    rate_spread = float(np.ptp(similar.a) / similar.a.mean())
     headings = similar.starts.heading
-    turns = np.abs(wrap(headings - headings[0]))
-    heading_spread = float(turns.max())
-    if spread == 0 and heading_spread < SAME_HEADING_RAD:
-        turn_verb = "turns" if len(others) == 1 else "turn"
-        start_verb = "starts" if len(others) == 1 else "start"
+    heading_differences = np.abs(wrap(headings - headings[0]))
+    heading_spread = float(heading_differences.max())
+    if rate_spread == 0 and heading_spread < SAME_HEADING_RAD:
+        turn_verb = "turns" if len(other_names) == 1 else "turn"
+        start_verb = "starts" if len(other_names) == 1 else "start"
         return (
-            f"{names_of_others} {turn_verb} at the same rate as {first} and {start_verb} with the "
-            f"same heading, so the {robots} can only move in parallel: their total error cannot "
+            f"{others_text} {turn_verb} at the same rate as {first_name} and {start_verb} with the "
+            f"same heading, so the {n_robots} can only move in parallel: their total error cannot "
             f"fall below {error_min}"
         )
     return (
-        f"{names_of_others} and {first} differ by only {100 * spread:.2g} % in turning rate a and "
-        f"{heading_spread:.2g} rad in start heading. That may be too little to separate them: the "
-        f"total error of {robots} identical robots could not fall below {error_min}"
+        f"{others_text} and {first_name} differ by only {100 * rate_spread:.2g} % in turning rate "
+        f"a and {heading_spread:.2g} rad in start heading. That may be too little to separate "
+        f"them: the total error of {n_robots} identical robots could not fall below {error_min}"
     )
 
 
 def _join_names(names: Sequence[str]) -> str:
     """Join names as "a, b and c". Names after the first few are counted, such as "2 more"."""
     shown_names = list(names)
-    if len(names) > NAMED_MAX + 1:
-        shown_names = [*names[:NAMED_MAX], f"{len(names) - NAMED_MAX} more"]
+    if len(names) > OTHERS_NAMED_MAX + 1:
+        shown_names = [*names[:OTHERS_NAMED_MAX], f"{len(names) - OTHERS_NAMED_MAX} more"]
     if len(shown_names) == 1:
         return shown_names[0]
     return f"{', '.join(shown_names[:-1])} and {shown_names[-1]}"
 
 
-def out_of_reach(context: CheckContext) -> Findings:
+def targets_out_of_reach(context: CheckContext) -> Findings:
     """Targets that a robot cannot reach in a trial, even along a straight line."""
-    for i, too_few in enumerate(reach(context.setup, context.longest_s)):
-        if too_few > context.tolerance:
+    for i, shortfall in enumerate(reach(context.setup, context.trial_max_s)):
+        if shortfall > context.tolerance:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is {context.to_target(i)} away, but the robot drives only "
-                f"{context.driven(i, context.longest_s)} in the "
-                f"{context.longest_s:.4g} s of a trial, {too_few:.4g} too little",
-                f"raise controller.{context.limit}, or bring the target nearer",
+                f"is {context.target_distance_text(i)} away, but the robot drives only "
+                f"{context.driven_distance_text(i, context.trial_max_s)} in the "
+                f"{context.trial_max_s:.4g} s of a trial, {shortfall:.4g} too little",
+                f"raise controller.{context.time_limit_field}, or bring the target nearer",
             )
 
 
-def beyond_the_plan(context: CheckContext) -> Findings:
-    """Targets that a robot can reach in a trial, but not in the longest plan: the furthest."""
-    if context.plan_s == math.inf:
+def targets_beyond_plan(context: CheckContext) -> Findings:
+    """The furthest target that a robot can reach in a trial, but not in the longest plan."""
+    if context.plan_max_s == math.inf:
         return
-    too_few = reach(context.setup, context.plan_s)
-    out_of_plan = (too_few > context.tolerance) & (
-        reach(context.setup, context.longest_s) <= context.tolerance
+    shortfalls = reach(context.setup, context.plan_max_s)
+    out_of_plan = (shortfalls > context.tolerance) & (
+        reach(context.setup, context.trial_max_s) <= context.tolerance
     )
     if not out_of_plan.any():
         return
     needed_s = {
-        i: float(too_few[i] / context.setup.speed[i]) + context.plan_s
+        i: float(shortfalls[i] / context.setup.speed[i]) + context.plan_max_s
         for i in np.flatnonzero(out_of_plan).tolist()
     }
     i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
     yield SpecFinding(
         ("controller", "horizon_max"),
-        f"{context.setup.names[i]} is {context.to_target(i)} from its target, but "
-        f"drives only {context.driven(i, context.plan_s)} in "
-        f"{round(context.plan_s / context.signal_s)} signals ({context.plan_s:.4g} s),"
-        f" {too_few[i]:.4g} too little",
+        f"{context.setup.names[i]} is {context.target_distance_text(i)} from its target, but "
+        f"drives only {context.driven_distance_text(i, context.plan_max_s)} in "
+        f"{round(context.plan_max_s / context.signal_s)} signals ({context.plan_max_s:.4g} s),"
+        f" {shortfalls[i]:.4g} too little",
         f"set it to more than {math.ceil(needed_s[i] / context.signal_s)}",
     )
 
 
-def error_left(context: CheckContext) -> Findings:
-    """No plan can reach all targets: the lower bound of the total error is not 0."""
-    error_min = bounds.least_total_error(context.setup, context.longest_s)
+def unavoidable_error(context: CheckContext) -> Findings:
+    """A lower bound of the total error that is above 0, so that no plan reaches all targets."""
+    error_min = bounds.least_total_error(context.setup, context.trial_max_s)
     if context.is_worth_warning(error_min, len(context.setup.a)):
         yield SpecFinding(
             ("robots",),
@@ -376,39 +386,43 @@ def error_left(context: CheckContext) -> Findings:
         )
 
 
-def walled_off(context: CheckContext) -> Findings:
+def walled_off_targets(context: CheckContext) -> Findings:
     """Targets to which no path leads past the obstacles, or no path with the margin."""
     if not context.experiment.obstacles:
         return
     setup = context.setup
-    blocked_distance = shut_out(setup, 0.0, context.walls)
-    blocked_with_margin = (
-        shut_out(setup, context.margin, context.walls) if context.margin > 0 else blocked_distance
+    blocked_distances = shut_out(setup, 0.0, context.avoids_walls)
+    blocked_distances_with_margin = (
+        shut_out(setup, context.margin, context.avoids_walls)
+        if context.margin > 0
+        else blocked_distances
     )
-    ends = np.minimum(context.clearances(setup.starts.xy), context.clearances(setup.targets))
-    for i in np.flatnonzero((blocked_distance > 0) | (blocked_with_margin > 0)).tolist():
-        if blocked_distance[i] > 0:
+    end_clearances = np.minimum(
+        context.clearances(setup.starts.xy), context.clearances(setup.targets)
+    )
+    for i in np.flatnonzero((blocked_distances > 0) | (blocked_distances_with_margin > 0)).tolist():
+        if blocked_distances[i] > 0:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is walled off: the robot cannot come closer than {blocked_distance[i]:.4g} "
+                f"is walled off: the robot cannot come closer than {blocked_distances[i]:.4g} "
                 f"{context.unit}",
                 "open a gap between the obstacles",
             )
-        elif ends[i] > context.margin:
+        elif end_clearances[i] > context.margin:
             yield SpecFinding(
                 ("robots", i, "target"),
                 "cannot be reached by a path that keeps "
                 f"{context.length_text(context.margin)} from the obstacles; the robot comes "
-                f"within {context.length_text(blocked_with_margin[i])}",
+                f"within {context.length_text(blocked_distances_with_margin[i])}",
                 "lower controller.collision.margin or radius, or widen the gap",
             )
 
 
-def inside_margin(context: CheckContext) -> Findings:
+def points_inside_margin(context: CheckContext) -> Findings:
     """Starts and targets that are nearer to an obstacle than the planner's fixed margin."""
     if not context.margin or not context.collision or context.collision.adaptive:
         return
-    for field, points in context.ends.items():
+    for field, points in context.points_by_field.items():
         gaps = context.clearances(points)
         for i in np.flatnonzero(gaps <= context.margin).tolist():
             yield SpecFinding(
@@ -419,20 +433,20 @@ def inside_margin(context: CheckContext) -> Findings:
             )
 
 
-def target_near_obstacle(context: CheckContext) -> Findings:
-    """A target is so near to an obstacle that an adaptive margin gives way there.
+def targets_near_obstacles(context: CheckContext) -> Findings:
+    """Targets so near to an obstacle that an adaptive margin gives way there.
 
     That happens within the distance that a robot drives in a control period.
     """
     if not context.collision or not context.collision.radius or not context.collision.adaptive:
         return
     free_space = context.clearances(context.setup.targets) - context.collision.radius
-    step = context.setup.speed * context.experiment.controller.period
-    for i in np.flatnonzero(free_space < context.collision.margin + step).tolist():
+    step_distances = context.setup.speed * context.experiment.controller.period
+    for i in np.flatnonzero(free_space < context.collision.margin + step_distances).tolist():
         yield SpecFinding(
             ("robots", i, "target"),
             f"leaves a body only {free_space[i]:.3g} {context.unit} of free space to the nearest "
-            f"obstacle or edge, but the robot drives {step[i]:.3g} {context.unit} in a "
+            f"obstacle or edge, but the robot drives {step_distances[i]:.3g} {context.unit} in a "
             "control period",
             "move the target, or shorten the control period; otherwise a trial may end far "
             "from the target",
@@ -455,15 +469,15 @@ def accepts_less_than_noise(context: CheckContext) -> Findings:
         )
 
 
-def too_close(context: CheckContext) -> Findings:
-    """Starts or targets are closer to each other than the lab's minimum separation."""
+def points_below_separation(context: CheckContext) -> Findings:
+    """Starts or targets that are closer to each other than the lab's minimum separation."""
     per_mm = 1e-3 / context.setup.metres
     sections = {"plant": context.experiment.plant, "lab": context.experiment.lab}
     for section, plant in sections.items():
         if not isinstance(plant, LabSection):
             continue
         separation_min_mm = plant.limits.separation_mm
-        for field, points in context.ends.items():
+        for field, points in context.points_by_field.items():
             for i, neighbour, distance in find_nearest(context.setup, points):
                 if distance < separation_min_mm * per_mm:
                     yield SpecFinding(
@@ -474,9 +488,9 @@ def too_close(context: CheckContext) -> Findings:
                     )
 
 
-def same_place(context: CheckContext) -> Findings:
+def coinciding_points(context: CheckContext) -> Findings:
     """The first two equal starts, and the first two equal targets."""
-    for field, points in context.ends.items():
+    for field, points in context.points_by_field.items():
         for i, neighbour, distance in find_nearest(context.setup, points):
             if distance == 0:
                 gap = context.length_text(0.0)
@@ -489,7 +503,7 @@ def same_place(context: CheckContext) -> Findings:
 
 
 def targets_near_each_other(context: CheckContext) -> Findings:
-    """Targets are so close together that bodies could touch there.
+    """Targets so close together that the bodies of robots could touch there.
 
     The controller then steers the robots to points further apart.
     """
@@ -510,7 +524,7 @@ def targets_near_each_other(context: CheckContext) -> Findings:
             )
 
 
-def hold_too_tight(context: CheckContext) -> Findings:
+def hold_radius_too_small(context: CheckContext) -> Findings:
     """A hold within less than v / a of robots that cannot stand still."""
     setup = context.setup
     if setup.hold is None or setup.on_wheels:
@@ -531,20 +545,20 @@ RULES: tuple[Callable[[CheckContext], Findings], ...] = (
     turns_faster_than_robots,
     robots_of_another_size,
     plan_outlasts_trial,
-    coarse_period,
-    unknown_dead_time,
-    robots_alike,
-    out_of_reach,
-    beyond_the_plan,
-    error_left,
-    walled_off,
-    inside_margin,
-    target_near_obstacle,
+    signals_held_too_long,
+    wrong_dead_time,
+    inseparable_robots,
+    targets_out_of_reach,
+    targets_beyond_plan,
+    unavoidable_error,
+    walled_off_targets,
+    points_inside_margin,
+    targets_near_obstacles,
     accepts_less_than_noise,
-    too_close,
-    same_place,
+    points_below_separation,
+    coinciding_points,
     targets_near_each_other,
-    hold_too_tight,
+    hold_radius_too_small,
 )
 """All rules, in the order in which warnings about the same line are printed."""
 
@@ -562,9 +576,9 @@ class PlacedWarning(SpecProblem):
 @np.errstate(all="ignore")  # very large values may overflow
 @np.errstate(all="ignore")  # numbers at the end of floating point are compared as inf
 def find_warnings(loaded: LoadedSpec) -> tuple[PlacedWarning, ...]:
-    """Return the warnings of a spec, in the order of its lines.
+    """Find the warnings about a valid spec, in the order of its lines.
 
-    There are none if its robots are placeholders, because each trial finds its own.
+    There are no warnings if the robots are placeholders, because each trial finds its own robots.
     """
     if loaded.experiment.open:  # its robots are placeholders
         return ()

@@ -29,13 +29,14 @@ from tetractl.spec.plants import on_plant
 
 PRACTICE_S = 3.0
 """Duration of the practice [s]."""
-LATE_SHARE_MAX = 0.2
+LATE_FRACTION_MAX = 0.2
 """Maximum fraction of late steps with which the practice is passed.
 
 Five late steps in a row end a run. At this fraction, that happens in about one of eight trials of
 400 steps, if steps are late independently of each other.
 """
-FACT = "control steps"
+FACT_NAME = "control steps"
+"""Name of the fact in a preflight's findings that describes the delays of the steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +46,14 @@ class Practice:
     Attributes:
         period_ns: The control period [ns].
         delays_ns: The delay of each step during which robots drove [ns].
-        silence_ns: The longest time for which no camera frame was read [ns].
+        longest_silence_ns: The longest time for which no camera frame was read [ns].
     """
 
     period_ns: int
     delays_ns: tuple[int, ...]
-    silence_ns: int
+    longest_silence_ns: int
 
-    def added_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
+    def add_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
         """Add the results of this practice to the findings of a preflight.
 
         The result contains all findings. Late steps become a problem or a warning, and so does a
@@ -65,26 +66,29 @@ class Practice:
         problems = list(findings.problems)
         warnings = list(findings.warnings)
         facts = dict(findings.facts)
-        count = len(self.delays_ns)
+        step_count = len(self.delays_ns)
         period_ms = milliseconds(self.period_ns)
-        if count:
+        if step_count:
             median_ms = milliseconds(int(np.median(self.delays_ns)))
             longest_ms = milliseconds(max(self.delays_ns))
-            facts[FACT] = (
+            facts[FACT_NAME] = (
                 f"median {median_ms:.0f} ms, at most {longest_ms:.0f} ms, for a period of "
-                f"{period_ms:.0f} ms, in {count} steps with simulated robots"
+                f"{period_ms:.0f} ms, in {step_count} steps with simulated robots"
             )
-            late = sum(delay_ns > self.period_ns for delay_ns in self.delays_ns)
-            text = f"{late} of {count} practised control steps took longer than the control period"
-            if late > LATE_SHARE_MAX * count:
-                problems.append(f"this computer is too slow or too busy: {text}")
-            elif late:
-                warnings.append(f"{text}: is this computer busy?")
-        if self.silence_ns > limits.stale * SECOND:
+            late_count = sum(delay_ns > self.period_ns for delay_ns in self.delays_ns)
+            late_text = (
+                f"{late_count} of {step_count} practised control steps took longer than the "
+                "control period"
+            )
+            if late_count > LATE_FRACTION_MAX * step_count:
+                problems.append(f"this computer is too slow or too busy: {late_text}")
+            elif late_count:
+                warnings.append(f"{late_text}: is this computer busy?")
+        if self.longest_silence_ns > limits.stale * SECOND:
             problems.append(
                 "this computer is too busy, or the camera pauses: no frame was read for "
-                f"{milliseconds(self.silence_ns):.0f} ms during the practised control steps, "
-                f"but robots stop after {1000 * limits.stale:.0f} ms"
+                f"{milliseconds(self.longest_silence_ns):.0f} ms during the practised control "
+                f"steps, but robots stop after {1000 * limits.stale:.0f} ms"
             )
         return replace(findings, problems=tuple(problems), warnings=tuple(warnings), facts=facts)
 
@@ -97,33 +101,39 @@ class PacedSteps(Observer):
     Args:
         period_ns: The control period [ns].
         clock: The clock by which steps are due.
-        silent_ns: Returns the time since the last camera frame was read [ns].
+        read_silence_ns: Returns the time since the last camera frame was read [ns].
         interrupt: Ends the trial that is still running after PRACTICE_S.
+
+    Attributes:
+        delays_ns: The delay of each step during which robots drove [ns].
+        longest_silence_ns: The longest time for which no camera frame was read [ns].
+        step_count: Number of control steps so far.
+        is_over: Whether PRACTICE_S has passed.
     """
 
     def __init__(
-        self, period_ns: int, clock: Clock, silent_ns: Callable[[], int], interrupt: Interrupt
+        self, period_ns: int, clock: Clock, read_silence_ns: Callable[[], int], interrupt: Interrupt
     ) -> None:
         self.delays_ns: list[int] = []
-        self.silence_ns = 0
-        self.steps = 0
+        self.longest_silence_ns = 0
+        self.step_count = 0
         self.is_over = False
         self._period_ns = period_ns
         self._clock = clock
-        self._silent_ns = silent_ns
+        self._read_silence_ns = read_silence_ns
         self._interrupt = interrupt
-        self._due_ns: int | None = None  # when this step was due, None if robots stood before
+        self._due_ns: int | None = None  # due time of the present step, None if robots stood before
         self._end_ns = 0
 
     def on_step(self, step: Step) -> None:
         """Measure the delay of a step, and wait until the next one is due."""
         now_ns = self._clock.now()
-        if self.steps == 0:
+        if self.step_count == 0:
             self._end_ns = now_ns + round(PRACTICE_S * SECOND)
-        self.steps += 1
+        self.step_count += 1
         if step.k == 0:
             self._due_ns = None  # the robots stood while the first plan was computed
-        self.silence_ns = max(self.silence_ns, self._silent_ns())
+        self.longest_silence_ns = max(self.longest_silence_ns, self._read_silence_ns())
         due_ns = now_ns
         if self._due_ns is not None:
             self.delays_ns.append(now_ns - self._due_ns)
@@ -134,33 +144,33 @@ class PacedSteps(Observer):
             self._interrupt.request()
             return
         self._clock.sleep_until(due_ns)
-        self.silence_ns = max(self.silence_ns, self._silent_ns())
+        self.longest_silence_ns = max(self.longest_silence_ns, self._read_silence_ns())
         self._due_ns = None if step.plan.pauses else due_ns
 
 
-def practise(spec: LoadedSpec, clock: Clock, silent_ns: Callable[[], int]) -> Practice:
+def practise(spec: LoadedSpec, clock: Clock, read_silence_ns: Callable[[], int]) -> Practice:
     """Let the controller of a spec steer simulated robots for PRACTICE_S.
 
     Args:
         spec: The spec of a lab with known robots. Its controller's code is compiled.
         clock: The host's clock, by which steps are due.
-        silent_ns: Returns the time since the last frame of the lab's camera was read [ns].
+        read_silence_ns: Returns the time since the last frame of the lab's camera was read [ns].
 
     Raises:
         KeyboardInterrupt: If a signal has ended the practice.
     """
     interrupt = Interrupt()
     period_ns = round(spec.experiment.controller.period * SECOND)
-    paced = PacedSteps(period_ns, clock, silent_ns, interrupt)
+    paced_steps = PacedSteps(period_ns, clock, read_silence_ns, interrupt)
     key, _ = trial_seeds(spec.experiment.trials.seed, 0)
     simulated = on_plant(spec, "sim")
-    while not paced.is_over:  # trials may be short
-        steps_before = paced.steps
+    while not paced_steps.is_over:  # trials may be short
+        steps_before = paced_steps.step_count
         controller = build_controller(spec.experiment, key)  # in the lab it obeys a real deadline
-        with ready_trial(simulated, 0, [paced], interrupt, controller=controller) as trial:
+        with ready_trial(simulated, 0, [paced_steps], interrupt, controller=controller) as trial:
             result = trial.run()
-        if result.outcome is Outcome.INTERRUPTED and not paced.is_over:
+        if result.outcome is Outcome.INTERRUPTED and not paced_steps.is_over:
             raise KeyboardInterrupt
-        if paced.steps == steps_before:
+        if paced_steps.step_count == steps_before:
             break
-    return Practice(period_ns, tuple(paced.delays_ns), paced.silence_ns)
+    return Practice(period_ns, tuple(paced_steps.delays_ns), paced_steps.longest_silence_ns)

@@ -8,7 +8,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
-NEEDED = (
+PRELOADED_MODULES = (
     "tetractl.run.task",
     "tetractl.control.methods.mpc",
     "tetractl.control.estimation.kernels.bank",
@@ -18,7 +18,7 @@ NEEDED = (
 )
 
 gc.disable()  # searching what is imported takes a tenth of a second
-for name in NEEDED:
+for name in PRELOADED_MODULES:
     import_module(name)
 with suppress(ImportError, AttributeError):  # private; else each worker does it, with a kernel
     import numba.core.registry as registry

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tetractl.spec.plants import Prepare
 
 
-def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
+def trial_seeds(root_seed: int, trial: int) -> tuple[int, np.random.SeedSequence]:
     """Derive the seeds of a trial from the root seed of a batch.
 
     They come from children of SeedSequence(root) with the spawn keys (trial, 0) and (trial, 1), so
@@ -38,8 +38,8 @@ def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
     Returns:
         The seed of the controller, and the seed sequence of the plant's disturbances.
     """
-    controller = np.random.SeedSequence(root, spawn_key=(trial, 0))
-    plant = np.random.SeedSequence(root, spawn_key=(trial, 1))
+    controller = np.random.SeedSequence(root_seed, spawn_key=(trial, 0))
+    plant = np.random.SeedSequence(root_seed, spawn_key=(trial, 1))
     return int(controller.generate_state(1, np.uint64)[0]), plant
 
 
@@ -56,11 +56,11 @@ def ready_trial(
 
     Args:
         spec: The spec.
-        trial: The number of the trial.
+        trial: Index of the trial, from 0.
         observers: Objects that are notified of every event, in the thread of the control loop.
         interrupt: Ends the trial on request.
-        supervision: Supervises the lab; by default this process does.
-        controller: The controller; by default, the one that the spec selects.
+        supervision: How people supervise a lab. By default, nobody does.
+        controller: The controller. By default, the spec's controller.
     """
     section = spec.experiment.plant
     clock = section.clock()
@@ -74,26 +74,26 @@ def ready_trial(
             unless_ready.callback(abandon, plant)
             # the trial asks the plant about itself once it is open
             not_open = PlantInfo("", section.simulated, camera_rate_hz=0.0, facts={})
-            ready = Trial(
+            control_loop = Trial(
                 start=start_of(full_spec, trial, not_open, start_unix_ns),
                 plant=plant,
                 controller=controller or build_controller(full_spec.experiment, key),
                 clock=clock,
                 observers=observers,
                 interrupt=interrupt,
-                model=_model_monitor(full_spec.experiment),
+                model_monitor=_model_monitor(full_spec.experiment),
             )
             unless_ready.pop_all()  # from here on, `Trial.run` closes the plant
-        yield ready
+        yield control_loop
 
 
 def own_supervision(interrupt: Interrupt) -> LabSupervision:
-    """Return a supervision of a lab without people: the interrupt also cancels its waits."""
+    """Create the supervision of a lab by this process alone: the interrupt cancels its waits."""
     return LabSupervision(cancelled=lambda: interrupt.requested, signalled=interrupt.request)
 
 
 def _model_monitor(experiment: Experiment) -> EstimateMonitor | None:
-    """Return the monitor of the controller's estimates.
+    """Create the monitor of the controller's estimates.
 
     The result is None if the controller makes no estimates.
     """
@@ -104,9 +104,9 @@ def _model_monitor(experiment: Experiment) -> EstimateMonitor | None:
 def _spec_and_plant(
     spec: LoadedSpec, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
 ) -> tuple[LoadedSpec, Plant]:
-    """Return the spec, completed with the robots that the plant has found, and the plant."""
+    """Build the plant. Return it with the spec, which is completed by the robots that it found."""
     experiment = spec.experiment
-    rule = experiment.chosen  # how robots are chosen from more, None if the spec names them
+    rule = experiment.chosen  # the rule that finds the robots, None if the spec lists them
     if rule is None or rule.are_found:
         return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)
     prepare: Prepare = resolve_name(rule.prepare)

@@ -20,7 +20,7 @@ from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.run.folder_lock import locked
 from tetractl.run.logged_trial import log_path
-from tetractl.run.task import code_of
+from tetractl.run.task import code_hash
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import arm_hash
 from tetractl.tools.files import make_folder, save_whole
@@ -29,21 +29,27 @@ from tetractl.tools.files import make_folder, save_whole
 class BatchFolder:
     """The folder of the trials of one experiment.
 
-    `results` are the results of its finished trials, by index. A trial is finished if its log is
-    complete, and if it was neither interrupted nor aborted. An aborted trial in virtual time also
-    counts as finished if the same code has run it, because it would be aborted again. `run
-    --resume` and studies run all other trials.
+    A trial is finished if its log is complete, and if it was neither interrupted nor aborted. An
+    aborted trial in virtual time also counts as finished if the same code has run it, because it
+    would be aborted again. `run --resume` and studies run all other trials.
+
+    Attributes:
+        folder: Path of the folder.
+        experiment: The experiment.
+        code_hash: Hash of the code that would run the trials now.
+        spec_hash: Hash of the experiment without the number of trials.
+        results: The results of the finished trials, by the index of the trial.
     """
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
         self.folder = folder
         self.experiment = experiment
-        self.code = code_of(experiment)
-        self.hash = arm_hash(experiment)
+        self.code_hash = code_hash(experiment)
+        self.spec_hash = arm_hash(experiment)
         self.results: dict[int, ResultSummary] = {}
 
     @property
-    def lacking(self) -> list[int]:
+    def unfinished(self) -> list[int]:
         """The indices of the trials that are not finished."""
         trials = range(self.experiment.trials.count)
         return [trial for trial in trials if trial not in self.results]
@@ -51,10 +57,10 @@ class BatchFolder:
     @property
     def outdated(self) -> list[int]:
         """The indices of the finished trials that another version of the code has run."""
-        return [trial for trial, result in self.results.items() if result.code != self.code]
+        return [trial for trial, result in self.results.items() if result.code != self.code_hash]
 
     def read(self) -> None:
-        """Find out which trials are finished. Logs that are damaged or incomplete do not count.
+        """Find out which trials are finished. Damaged or incomplete logs do not count.
 
         Raises:
             UsageError: If a trial has another spec or seed. Only the number of trials may differ.
@@ -78,7 +84,7 @@ class BatchFolder:
         self._check(result)
         aborts_again = (
             result.outcome is Outcome.ABORTED
-            and result.code == self.code
+            and result.code == self.code_hash
             and not self.experiment.plant.real_time
         )
         if not result.recovered and (result.outcome.complete or aborts_again):
@@ -94,7 +100,7 @@ class BatchFolder:
         if self.experiment.open:  # each trial chose its own robots
             spec_robots = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
             experiment = experiment.model_copy(update=spec_robots)
-        if arm_hash(experiment) != self.hash:
+        if arm_hash(experiment) != self.spec_hash:
             raise UsageError(
                 f"{result.log}: this trial was run with another spec or seed",
                 "name another folder with --out, or give the spec and seed of this trial",
@@ -118,9 +124,9 @@ class Store:
         return cls(folder, {"": BatchFolder(folder, experiment)})
 
     @property
-    def lacking(self) -> list[int]:
+    def unfinished(self) -> list[int]:
         """The indices of a batch's trials that are not finished."""
-        return self.batches[""].lacking
+        return self.batches[""].unfinished
 
     @property
     def aborted(self) -> list[int]:
@@ -130,9 +136,12 @@ class Store:
 
     @contextmanager
     def opened(self, resume: bool = True) -> Iterator[None]:
-        """Create and lock the folder during the block, and find out which trials are finished.
+        """Create the folder, lock it during the `with` block, and find the finished trials.
 
-        Raises the errors of `read` and `locked`.
+        The errors are the same as for `read` and `locked`.
+
+        Args:
+            resume: Whether the folder may already contain logs.
         """
         self._check(resume)  # checked first, so that a refused run creates no folder
         with locked(self.folder):
@@ -140,10 +149,14 @@ class Store:
             yield
 
     def read(self, resume: bool = True) -> None:
-        """Find out which trials are finished. The errors are also those of `BatchFolder.read`.
+        """Find out which trials are finished.
+
+        Args:
+            resume: Whether the folder may already contain logs.
 
         Raises:
-            UsageError: If the folder has trials and `resume` is False, or is not a folder.
+            UsageError: If the folder is a file, if it contains logs although `resume` is False, or
+                if a trial has another spec or seed.
         """
         self._check(resume)
         for batch in self.batches.values():
@@ -172,28 +185,31 @@ class Store:
                 "name another folder with folder=, or add resume=True",
             )
 
-    def place(self, arm: str, trial: int) -> Path:
+    def prepare_folder(self, arm: str, trial: int) -> Path:
         """Rename the logs of earlier attempts at a trial, and return the folder for its log."""
         folder = self.batches[arm].folder
         make_folder(folder)
-        set_aside(folder, trial)
+        set_aside_logs(folder, trial)
         return folder
 
-    def add(self, arm: str, trial: int) -> None:
+    def add_result(self, arm: str, trial: int) -> None:
         """Read the log of a trial that has ended, and keep its result."""
         self.batches[arm].read_trial(trial)
 
 
 class RecordStore:
-    """A folder of numbered results that are not trials, such as the days of a rehearsal.
+    """A folder of numbered records that are not trials, such as the test runs of a rehearsal.
 
-    Each number has a JSON file, which is written completely or not at all. A file that cannot be
-    read does not count, and its result is computed again.
+    Each record is a JSON file, which is written completely or not at all. A file that cannot be
+    read does not count, and its record is computed again.
 
     Args:
         folder: The folder.
         identity: Describes what the records belong to.
-        fields: Fields that each record has at least.
+        fields: Names of the fields that each record must have.
+
+    Attributes:
+        records: The records, by number.
     """
 
     def __init__(self, folder: Path, identity: str, fields: Collection[str]) -> None:
@@ -224,15 +240,18 @@ class RecordStore:
             yield
 
     def _read(self, path: Path) -> dict[str, Any] | None:
-        """Return the record in a file.
+        """Read the record in a file.
 
-        The result is None if the file cannot be read.
+        The result is None if the file cannot be read or lacks a field.
+
+        Raises:
+            UsageError: If the record has another identity.
         """
         try:
-            stated = json.loads(path.read_bytes())
-            identity = stated["of"]
-            record = stated["record"]
-            is_whole = record.keys() >= set(self._fields)
+            contents = json.loads(path.read_bytes())
+            identity = contents["of"]
+            record = contents["record"]
+            is_complete = record.keys() >= set(self._fields)
         except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError):
             return None
         if identity != self._identity:
@@ -245,20 +264,20 @@ class RecordStore:
                 "spec, other settings or another seed",
                 hint,
             )
-        return record if is_whole else None
+        return record if is_complete else None
 
-    def add(self, number: int, record: Mapping[str, Any]) -> None:
+    def add_record(self, number: int, record: Mapping[str, Any]) -> None:
         """Write the record with this number to its file.
 
         Raises:
             LogError: If the file cannot be written.
         """
-        text = json.dumps({"of": self._identity, "record": dict(record)})
-        save_whole(self.folder / f"record-{number:06d}.json", text.encode())
+        record_json = json.dumps({"of": self._identity, "record": dict(record)})
+        save_whole(self.folder / f"record-{number:06d}.json", record_json.encode())
         self.records[number] = dict(record)
 
 
-def set_aside(folder: Path, trial: int) -> None:
+def set_aside_logs(folder: Path, trial: int) -> None:
     """Rename earlier logs of a trial that is to be run, to trial-003.attempt-1.mcap and so on.
 
     No earlier attempt is overwritten. A recovered log gets the attempt number of its source.
@@ -268,13 +287,13 @@ def set_aside(folder: Path, trial: int) -> None:
     for log in (path, path.with_name(path.name + ".part")):
         if log.exists():
             number = _next_attempt(folder, log)
-            _rename(log, number)
+            _rename_attempt(log, number)
             if recovered.exists():
-                _rename(recovered, number)
+                _rename_attempt(recovered, number)
 
 
 def _next_attempt(folder: Path, log: Path) -> int:
-    """Return the first attempt number, from 1, for which a trial has no files yet."""
+    """Find the first attempt number, from 1, for which the folder has no file of a trial yet."""
     stem = log.name.partition(SUFFIX)[0]
     names = [path.name for path in folder.iterdir()]
     for number in itertools.count(1):
@@ -283,8 +302,8 @@ def _next_attempt(folder: Path, log: Path) -> int:
     raise AssertionError("counting does not end")
 
 
-def _rename(log: Path, number: int) -> None:
+def _rename_attempt(log: Path, number: int) -> None:
     """Rename the log of an earlier attempt, so that its name contains `number`."""
-    aside = log.with_name(attempt_name(log.name, number))
-    aside.touch(exist_ok=False)  # reserves the name
-    log.replace(aside)
+    new_path = log.with_name(attempt_name(log.name, number))
+    new_path.touch(exist_ok=False)  # reserves the name
+    log.replace(new_path)

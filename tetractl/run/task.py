@@ -23,7 +23,7 @@ from tetractl.run.logged_trial import run_logged
 from tetractl.spec.experiment import Experiment, packages
 from tetractl.spec.loaded_spec import LoadedSpec
 
-SPECS_KEPT = 64
+SPECS_CACHED_MAX = 64
 """Maximum number of specs that a process keeps loaded; the latest ones are kept."""
 
 
@@ -33,17 +33,18 @@ class Task:
 
     Attributes:
         trial: Index of the trial, from 0.
-        count: Number of trials.
+        trial_count: Number of trials in the batch or arm.
         spec: The pickled LoadedSpec.
         arm: Name of the arm in a study. Empty otherwise.
-        code: Hash of the code with which the trial must be run (see `code_of`). Empty for any code.
+        code_hash: Hash of the code with which the trial must be run, from the function `code_hash`.
+            Empty if any code may run the trial.
     """
 
     trial: int
-    count: int
+    trial_count: int
     spec: bytes
     arm: str = ""
-    code: str = ""
+    code_hash: str = ""
 
     @property
     def key(self) -> tuple[str, int]:
@@ -52,22 +53,22 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
+class FinishedTrial:
     """The result of a finished trial, and its wall time.
 
     Attributes:
         result: The result.
+        wall_s: Wall time from creating the plant to the end of the log [s].
     """
 
     result: Result
     wall_s: float
-    """Wall time from creating the plant to the end of the log [s]."""
 
 
 class OtherCodeError(UsageError):
-    """An error: a worker has other code than the computer that runs the study.
+    """An error: the code on a worker differs from the code on the computer that runs the study.
 
-    Its trials could therefore differ.
+    The trials of this worker could therefore differ.
     """
 
 
@@ -77,8 +78,8 @@ def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
     return [Task(trial, spec.experiment.trials.count, pickled) for trial in trials]
 
 
-def code_of(experiment: Experiment) -> str:
-    """Return the hash of the code that runs the trials of an experiment on this machine."""
+def code_hash(experiment: Experiment) -> str:
+    """Compute the hash of the code that runs the trials of an experiment on this machine."""
     by_name = sorted(packages(experiment).items())
     return trial_code(tuple(by_name))
 
@@ -89,7 +90,7 @@ def run_task(
     interrupt: Interrupt,
     observers: Sequence[Observer] = (),
     supervision: LabSupervision | None = None,
-) -> Finished:
+) -> FinishedTrial:
     """Run the trial that a task describes, and write its log.
 
     Args:
@@ -100,21 +101,21 @@ def run_task(
         supervision: How people supervise the run. Only real robots need it.
 
     Raises:
-        OtherCodeError: If the code of this process is not the task's.
+        OtherCodeError: If the code of this process differs from the task's `code_hash`.
         Exception: Any error that leaves the trial without an outcome, such as a camera that does
             not answer.
     """
-    spec = _prepared(task.spec, task.code)
+    spec = _load_spec(task.spec, task.code_hash)
     began_s = time.perf_counter()
     result = run_logged(spec, folder, task.trial, observers, interrupt, supervision)
-    return Finished(result, time.perf_counter() - began_s)
+    return FinishedTrial(result, time.perf_counter() - began_s)
 
 
-@lru_cache(maxsize=SPECS_KEPT)
-def _prepared(spec: bytes, code: str) -> LoadedSpec:
+@lru_cache(maxsize=SPECS_CACHED_MAX)
+def _load_spec(spec: bytes, expected_code_hash: str) -> LoadedSpec:
     """Load a task's spec, and compile the code that its trials need, once in each process."""
     loaded: LoadedSpec = pickle.loads(spec)
-    if code and code_of(loaded.experiment) != code:
+    if expected_code_hash and code_hash(loaded.experiment) != expected_code_hash:
         raise OtherCodeError(
             "the code of tetractl on the worker differs from the code on the computer that "
             "runs the study",
@@ -122,7 +123,7 @@ def _prepared(spec: bytes, code: str) -> LoadedSpec:
         )
     with suppress(TetractlError):  # the trial raises the same error
         warm_up(loaded.experiment, lambda text: None)
-    # what is loaded and compiled for a spec stays: to search it at each collection of garbage, in
-    # this whole process, would delay control steps
+    # what is loaded and compiled for a spec stays in memory: if each garbage collection searched
+    # it, control steps would be late
     gc.freeze()
     return loaded

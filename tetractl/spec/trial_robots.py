@@ -1,4 +1,4 @@
-"""A rule by which each trial finds its robots, in place of the list `robots` in a spec.
+"""Rules by which each trial finds its own robots, instead of a list `robots` in the spec.
 
 Packages provide such rules. An entry point of the group `tetractl.trial_robots` maps a key of the
 mapping, such as `choose` in `robots: {choose: 3, ...}`, to its class.
@@ -24,7 +24,7 @@ class StandIn:
 
     Attributes:
         name: The robot's name.
-        target: Its target [length unit].
+        target: The robot's target [length unit].
         a: The turning rate that the robot should have [rad/s].
         speed: The speed that the robot should have [length unit/s].
     """
@@ -62,7 +62,7 @@ class TrialRobots(Model):
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
-    """Find the class of the rule by which each trial chooses its robots.
+    """Find the class of the rule that a spec's mapping `robots` selects by its key.
 
     Raises:
         PydanticCustomError: If no key of the mapping is the name of a rule.
@@ -71,13 +71,13 @@ def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
     for name in installed:
         if name in mapping:
             return TRIAL_ROBOTS.load(name)
-    not_here = [name for name, _ in missing(TRIAL_ROBOTS.group, installed)]
-    for name in not_here:
+    uninstalled = [name for name, _ in missing(TRIAL_ROBOTS.group, installed)]
+    for name in uninstalled:
         why = not_installed(TRIAL_ROBOTS.group, name)
         if name in mapping and why:
             context = {"why": ": ".join(why), "key": name}
             raise PydanticCustomError("not_installed", "{why}", context)
-    rules = ", ".join([*installed, *not_here])
+    rules = ", ".join([*installed, *uninstalled])
     raise PydanticCustomError(
         "no_rule",
         "must be a list, with each robot after a '-', or a mapping with the key {rules}",

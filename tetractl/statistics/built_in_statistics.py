@@ -38,13 +38,13 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
 from tetractl.statistics.estimate import distributions
 from tetractl.statistics.flagged import (
-    ENTERED,
-    LEFT,
+    ENTERED_OBSTACLE,
+    LEFT_ARENA,
     SAFETY,
     TOUCHED_EACH_OTHER,
     TrialTurn,
+    compare_turns,
     turn_columns,
-    turns_of,
 )
 from tetractl.statistics.statistic import Figure, Statistic, mean_figure, share_figure
 from tetractl.tools.table.table import (
@@ -65,21 +65,21 @@ MEANINGS: Mapping[Outcome, str] = {
     Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
     Outcome.ABORTED: "a fault or an error ended the trial",
 }
-"""What outcomes mean, for readers of tables and reports."""
+"""Explanation of each outcome, for readers of tables and reports."""
 REASONS_MAX = 3
 """Maximum number of different reasons for aborts that a table names."""
 
 
 def _outcome_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
-    counts = Counter(trial.outcome for trial in trials)
-    most_common = counts.most_common()
+    count_by_outcome = Counter(trial.outcome for trial in trials)
+    most_common = count_by_outcome.most_common()
     items = {
-        "outcomes": {outcome.value: counts[outcome] for outcome in Outcome},
-        "aborted": counts[Outcome.ABORTED],
-        "interrupted": counts[Outcome.INTERRUPTED],
+        "outcomes": {outcome.value: count_by_outcome[outcome] for outcome in Outcome},
+        "aborted": count_by_outcome[Outcome.ABORTED],
+        "interrupted": count_by_outcome[Outcome.INTERRUPTED],
     }
-    explained = {**MEANINGS, Outcome.ABORTED: _abort_reasons(trials)}
-    text = "; ".join(f"{n} {outcome.value} ({explained[outcome]})" for outcome, n in most_common)
+    meanings = {**MEANINGS, Outcome.ABORTED: _abort_reasons(trials)}
+    text = "; ".join(f"{n} {outcome.value} ({meanings[outcome]})" for outcome, n in most_common)
     brief = ", ".join(f"{n} {outcome.value}" for outcome, n in most_common)
     return [Figure("outcomes", text, items, brief=brief)]
 
@@ -90,12 +90,14 @@ def _abort_reasons(trials: Sequence[ResultSummary]) -> str:
     If there are several reasons, each has its number of trials.
     """
     aborted = [trial for trial in trials if trial.outcome is Outcome.ABORTED]
-    counts = Counter(trial.result.reason or MEANINGS[Outcome.ABORTED] for trial in aborted)
-    if len(counts) == 1:
-        return next(iter(counts))
-    most_frequent = [f"{n} x {reason}" for reason, n in counts.most_common(REASONS_MAX)]
-    others = len(aborted) - sum(n for _, n in counts.most_common(REASONS_MAX))
-    return "; ".join([*most_frequent, f"{others} x other reasons"] if others else most_frequent)
+    count_by_reason = Counter(trial.result.reason or MEANINGS[Outcome.ABORTED] for trial in aborted)
+    if len(count_by_reason) == 1:
+        return next(iter(count_by_reason))
+    most_frequent = [f"{n} x {reason}" for reason, n in count_by_reason.most_common(REASONS_MAX)]
+    other_count = len(aborted) - sum(n for _, n in count_by_reason.most_common(REASONS_MAX))
+    return "; ".join(
+        [*most_frequent, f"{other_count} x other reasons"] if other_count else most_frequent
+    )
 
 
 def _arrived_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
@@ -122,13 +124,13 @@ def total(
 ) -> Statistic:
     """Create a statistic that counts events that should never happen.
 
-    Tables always show it for trials in which it matters.
+    Every table shows the count if it is not 0 and matters for these trials.
 
     Args:
-        key: Key of the statistic.
-        label: Its label in tables.
-        number_in: Returns the count in a trial.
-        matters: Whether it matters, judged by the first trial for all.
+        key: Key of the statistic in JSON and CSV.
+        label: Label of the statistic in tables.
+        number_in: Returns the number of events in a trial.
+        matters: Decides whether the events matter, from the first of the trials.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
@@ -219,7 +221,7 @@ def safety(
         centres = (
             0 if centre_key is None else sum(any(was_unsafe(verdict, 0.0)) for verdict in verdicts)
         )
-        unusual = bodies > 0 or centres > 0 or label == ENTERED
+        unusual = bodies > 0 or centres > 0 or label == ENTERED_OBSTACLE
         centre_label = "" if radius else label  # tables show one of the two
         if radius:
             figures = [share_figure(body_key, label, bodies, trial_count, "bodies", unusual)]
@@ -236,9 +238,14 @@ def safety(
 
 
 OBSTACLE_VIOLATIONS = safety(
-    ENTERED, "body_in_obstacle", centre_key="obstacle_violations", centre_column="entered_obstacle"
+    ENTERED_OBSTACLE,
+    "body_in_obstacle",
+    centre_key="obstacle_violations",
+    centre_column="entered_obstacle",
 )
-LEFT_ARENA = safety(LEFT, "body_over_edge", centre_key="left_arena", centre_column="outside_arena")
+LEFT_ARENA = safety(
+    LEFT_ARENA, "body_over_edge", centre_key="left_arena", centre_column="outside_arena"
+)
 TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
 
 # ---- Means of the numbers of a trial ----
@@ -271,9 +278,9 @@ def _time_inside_columns(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _lost_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return {"lost": number of lost robots}.
+    """Return the number of lost robots as the column {"lost": number}.
 
-    The result is empty if the spec lets a lost robot stop the trial.
+    There is no column if the spec lets a lost robot stop the trial.
     """
     return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
 
@@ -317,7 +324,7 @@ TIME_INSIDE = mean_of_each(
 DISC_FRACTION = 0.95
 """Fraction of the counted time of a hold for which a robot is in its disc."""
 SETTLING_S = 5.0
-"""Time from the begin of a hold that is not counted [s]."""
+"""Time at the beginning of a hold that is not counted [s]."""
 
 
 def discs(log: TrialLog) -> Floats:
@@ -328,8 +335,10 @@ def discs(log: TrialLog) -> Floats:
     unit]. True poses are used if they are known. The result is NaN if no frame counts.
     """
     setup = log.start.setup
-    held_ns = [s.observation.sampled_ns for s in log.steps if s.plan.leg == len(setup.legs)]
-    counts_from_ns = held_ns[0] + SETTLING_S * SECOND if held_ns else np.inf
+    hold_times_ns = [
+        step.observation.sampled_ns for step in log.steps if step.plan.leg == len(setup.legs)
+    ]
+    counts_from_ns = hold_times_ns[0] + SETTLING_S * SECOND if hold_times_ns else np.inf
     poses = log.mocap if log.truth is None else log.truth
     distances = setup.distances(poses[log.mocap_ns >= counts_from_ns, :, :2])
     if not len(distances):
@@ -453,13 +462,13 @@ WHEEL_LAG = Statistic(_lag_figures, _lag_columns)
 
 
 def _turn_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return a figure of how many trials have a robot that turned differently than in the others.
+    """Count the trials with a robot that turned differently than in its other trials, as a figure.
 
-    If too few trials are known, the figure is not shown, and its JSON value is None.
+    If the rates of too few trials are known, the figure is not shown, and its JSON value is None.
     """
     label = "less certain"
     key = "less_certain"
-    turns = list(turns_of(trials))
+    turns = list(compare_turns(trials))
     if not turns:
         return [Figure("", "", {key: None})]
     unusual = [turn for turn in turns if turn.unusual]
@@ -479,10 +488,11 @@ def _describe_turns(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) ->
     unusual_trials = len({turn.log for turn in unusual})
     text = f"{unusual_trials} of {trials} trials"
     if not unusual:
-        largest = max(turn.limit for turn in turns)
+        largest = max(turn.limit_rad_s for turn in turns)
         return f"{text}, turns above {largest:.2f} rad/s would be noticed"
     descriptions = [
-        f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in unusual
+        f"{turn.robot} in {Path(turn.log).stem}, {turn.difference_rad_s:+.2f} rad/s"
+        for turn in unusual
     ]
     return f"{text}, by wheels that changed or false poses: {join_listed(descriptions, '; ')}"
 

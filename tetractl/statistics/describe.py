@@ -2,8 +2,8 @@
 
 `describe` returns the errors of a batch with intervals, the difference from the published result,
 and statistics. `contrast` compares the total errors of each pair of batches. If their trials have
-the same seeds, it compares pairs of trials. A verdict needs `ENOUGH` pairs or trials. `tables` and
-`as_json` format the results.
+the same seeds, it compares pairs of trials. A verdict needs `PAIRS_MIN` pairs or trials. The
+modules `tables` and `as_json` format the results.
 """
 
 import math
@@ -23,16 +23,16 @@ from tetractl.statistics.estimate import CONFIDENCE, Distribution, Interval, dis
 from tetractl.statistics.mean_difference import MeanDifference, from_both_intervals
 from tetractl.statistics.open_batch import (
     Batch,
-    counts,
     differences,
     experiment_of,
+    is_counted,
 )
 from tetractl.statistics.statistic import Figure, statistics
 
-ENOUGH = 8
-"""Minimum number of pairs or, without pairs, of trials on each side, for a verdict."""
+PAIRS_MIN = 8
+"""Minimum number of pairs for a verdict. Without pairs, the minimum number of trials per batch."""
 NO_PAIRS: Floats = np.zeros(0)
-_NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
+_FIELDS_OUTSIDE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
 """Fields of a spec that do not change the disturbances of a trial."""
 
 
@@ -56,11 +56,11 @@ class BatchStatistics(NotebookDisplay):
     errors: Floats = field(repr=False)
     """The error of each robot in each valid trial (n, N)."""
     total: Distribution
-    """How `totals` are distributed."""
+    """The distribution of `totals`."""
     robots: tuple[Distribution, ...] = field(repr=False)
-    """How the errors of each robot are distributed, N of them."""
+    """The distribution of each robot's errors, N of them."""
     from_published: MeanDifference | None = field(repr=False)
-    """The mean total error minus the published one; None if the spec names no published result."""
+    """The mean total error minus the published mean. None if the spec names no published result."""
     figures: tuple[Figure, ...] = field(repr=False)
     """The figures of all registered statistics, over all trials."""
 
@@ -97,7 +97,7 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
     """
     experiment = experiment_of(batch)
     origin = batch.trials[0].origin
-    valid = [trial.result for trial in batch.trials if counts(trial)]
+    valid = [trial.result for trial in batch.trials if is_counted(trial)]
     totals = np.array([result.total_error for result in valid], dtype=float)
     errors = np.array([result.robot_errors for result in valid], dtype=float)
     errors = errors.reshape(len(valid), len(experiment.robots))
@@ -197,9 +197,9 @@ class Contrast(NotebookDisplay):
             return "the plants differ"
         if self.no_controller:
             return "directions were given, so no controller decided"
-        if self.compared < ENOUGH:
-            what = "pairs" if self.pairs else "complete trials on each side"
-            return f"a verdict needs at least {ENOUGH} {what}"
+        if self.compared < PAIRS_MIN:
+            needed = "pairs" if self.pairs else "complete trials on each side"
+            return f"a verdict needs at least {PAIRS_MIN} {needed}"
         for interval in self.intervals:
             if not interval.known:
                 return f"no interval: {interval.reason}"
@@ -299,16 +299,20 @@ def contrast(
                 "compare only groups with the same length unit",
             )
     if baseline is None:
-        sides = list(combinations(groups, 2))
+        group_pairs = list(combinations(groups, 2))
     else:
-        sides = [(group, baseline) for group in groups]
-    tests = sum(_is_tested(first, second) for first, second in sides)
-    contrasts = [_contrast(first, second, max(tests, 1)) for first, second in sides]
-    means = mean_difference.holm([comparison.difference.p_value for comparison in contrasts])
-    ranks = mean_difference.holm([comparison.rank_p for comparison in contrasts])
+        group_pairs = [(group, baseline) for group in groups]
+    test_count = sum(_is_tested(first, second) for first, second in group_pairs)
+    contrasts = [_contrast(first, second, max(test_count, 1)) for first, second in group_pairs]
+    mean_p_values = mean_difference.holm(
+        [comparison.difference.p_value for comparison in contrasts]
+    )
+    rank_p_values = mean_difference.holm([comparison.rank_p for comparison in contrasts])
     corrected = [
         replace(comparison, p_holm=p_holm, rank_p_holm=rank_p_holm)
-        for comparison, p_holm, rank_p_holm in zip(contrasts, means, ranks, strict=True)
+        for comparison, p_holm, rank_p_holm in zip(
+            contrasts, mean_p_values, rank_p_values, strict=True
+        )
     ]
     return BatchComparison(batches, tuple(corrected))
 
@@ -322,26 +326,31 @@ def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
     return first.origin is second.origin and not no_controller
 
 
-def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
+def _contrast(first: BatchStatistics, second: BatchStatistics, test_count: int) -> Contrast:
     """Compare two batches: the difference is the mean of the first minus the mean of the second.
 
     The p-values are not yet corrected for several comparisons. They are NaN if the batches are not
     tested.
     """
-    ours = first.total
-    theirs = second.total
-    paired, why_unpaired = pair_up(first, second)
-    pairs = len(paired)
+    first_errors = first.total
+    second_errors = second.total
+    paired_differences, why_unpaired = pair_up(first, second)
+    pairs = len(paired_differences)
     if pairs:
-        difference = mean_difference.paired_t(paired)
-        rank_p = mean_difference.signed_rank(paired)
-        detects = mean_difference.detectable(pairs, tests=tests)
+        difference = mean_difference.paired_t(paired_differences)
+        rank_p = mean_difference.signed_rank(paired_differences)
+        detects = mean_difference.detectable(pairs, tests=test_count)
     else:
         difference = mean_difference.welch(
-            ours.n, ours.mean, ours.std, theirs.n, theirs.mean, theirs.std
+            first_errors.n,
+            first_errors.mean,
+            first_errors.std,
+            second_errors.n,
+            second_errors.mean,
+            second_errors.std,
         )
         rank_p = mean_difference.rank_sum(first.totals, second.totals)
-        detects = mean_difference.detectable(ours.n, theirs.n, tests)
+        detects = mean_difference.detectable(first_errors.n, second_errors.n, test_count)
     if not _is_tested(first, second):
         difference = replace(difference, p_value=math.nan)
         rank_p = math.nan
@@ -352,7 +361,7 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
         pairs=pairs,
         why_unpaired=why_unpaired,
         difference=difference,
-        from_both_means=from_both_intervals(ours, theirs),
+        from_both_means=from_both_intervals(first_errors, second_errors),
         rank_p=rank_p,
         detects=detects,
         differs=tuple(differences(first.experiment, second.experiment)),
@@ -368,23 +377,27 @@ def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, st
     """
     if not (first.origin.simulated and second.origin.simulated):
         return NO_PAIRS, "no two trials in a lab have the same disturbances"
-    if _world(first) != _world(second):
+    if _world_fields(first) != _world_fields(second):
         return NO_PAIRS, "the batches differ in more than the controller"
-    ours = _errors_by_trial(first.batch.trials)
-    theirs = _errors_by_trial(second.batch.trials)
-    pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
-    if not pairs:
+    first_errors = _errors_by_trial(first.batch.trials)
+    second_errors = _errors_by_trial(second.batch.trials)
+    paired_differences = [
+        error - second_errors[trial]
+        for trial, error in first_errors.items()
+        if trial in second_errors
+    ]
+    if not paired_differences:
         return NO_PAIRS, "the batches have no seed and trial in common"
-    return np.array(pairs), ""
+    return np.array(paired_differences), ""
 
 
-def _world(group: BatchStatistics) -> dict[str, object]:
+def _world_fields(group: BatchStatistics) -> dict[str, object]:
     """Return a batch's spec without its controller and fields that do not affect a trial."""
-    return group.experiment.model_dump(mode="json", exclude=set(_NOT_THE_WORLD))
+    return group.experiment.model_dump(mode="json", exclude=set(_FIELDS_OUTSIDE_WORLD))
 
 
 def _errors_by_trial(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
     """Return the total error of each counted trial, keyed by (seed, number of the trial)."""
     return {
-        (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
+        (trial.seed, trial.trial): trial.result.total_error for trial in trials if is_counted(trial)
     }

@@ -20,11 +20,12 @@ from tetractl.core.poses import Floats
 from tetractl.tools.table.table import UNKNOWN_TEXT, create_length_format
 
 CONFIDENCE = 0.95
+"""Confidence of all intervals."""
 
 TAIL_FACTOR = 10
 """Errors above this multiple of the median are the tail, if the spec states no bound."""
 VALUES_MIN = 3
-"""Minimum number of values for an interval of a mean: two have no skewness."""
+"""Minimum number of values for an interval of a mean. Two values have no skewness."""
 _NAN = math.nan
 NORMAL_QUANTILE = float(special.ndtri((1 + CONFIDENCE) / 2))
 """Quantile z of the normal distribution for the confidence of the intervals."""
@@ -34,7 +35,11 @@ NORMAL_QUANTILE = float(special.ndtri((1 + CONFIDENCE) / 2))
 class Interval:
     """A 95 % confidence interval of a mean or a fraction.
 
-    If there is none, `low` and `high` are NaN, and `reason` says why.
+    Attributes:
+        low: Lower end. NaN if the interval is unknown.
+        high: Upper end. NaN if the interval is unknown.
+        method: Name of the method, such as "Wilson". None if the interval is unknown.
+        reason: Why the interval is unknown. None if it is known.
     """
 
     low: float
@@ -53,7 +58,7 @@ class Interval:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def text(self, format_end: Callable[[float], str]) -> str:
-        """Return both ends, each formatted by `format_end`, as "LOW to HIGH".
+        """Format the interval as "LOW to HIGH", with each end formatted by `format_end`.
 
         If there is no interval, return the reason or, without a reason, "-".
         """
@@ -76,7 +81,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """How many of n values are above a bound: a count of rare large errors.
+    """The number of values above a bound, which counts rare large errors.
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
     missing in two of three batches of 20 trials.
@@ -84,7 +89,7 @@ class Tail:
     Attributes:
         bound: The bound: the spec's, or 10 times the median. NaN without values, or if the median
             is not positive.
-        above: Number of values above it.
+        above: Number of values above the bound.
         n: Number of values.
         stated: Whether the bound comes from the spec.
         ci95: Wilson's interval of the fraction above / n.
@@ -102,7 +107,7 @@ class Tail:
         return f"errors above {'error_bound' if self.stated else f'{TAIL_FACTOR} times the median'}"
 
     def text(self, unit: str = "") -> str:
-        """Return a text such as "2 of 100 above 85.0 mm (95 % interval 1 to 7 %)".
+        """Describe the tail, such as "2 of 100 above 85.0 mm (95 % interval 1 to 7 %)".
 
         The text is "-" if there is no bound.
         """
@@ -205,7 +210,7 @@ def _standard_deviations(rows: Floats) -> Floats:
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
-    """Describe n values of which only some statistics are known. All others are NaN.
+    """Create a distribution from known statistics of n values. All other statistics are NaN.
 
     Args:
         n: Number of values.
@@ -218,9 +223,9 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
 
 def _count_tail(values: Floats, median: float, bound: float | None) -> Tail:
-    """Count the values (n,) above `bound` or, if it is None, above FAR times the median.
+    """Count the values (n,) above `bound` or, if it is None, above TAIL_FACTOR times the median.
 
-    If that limit is not positive or is NaN, nothing is counted and the tail's bound is NaN.
+    If this limit is not positive or is NaN, nothing is counted, and the tail's bound is NaN.
     """
     limit = TAIL_FACTOR * median if bound is None else bound
     n = len(values)
@@ -350,7 +355,7 @@ class ArmErrors:
         label: The value as text.
         arms: Number of arms that the trials belong to.
         errors: Total error of each trial, shape (n,).
-        error: Their distribution.
+        error: The distribution of these errors.
     """
 
     value: Any
@@ -375,7 +380,7 @@ class ArmErrors:
         return cls(value, label, arms, errors, distributions(errors[None], bound)[0])
 
 
-def numeric(arms: Iterable[ArmErrors]) -> bool:
+def are_numeric(arms: Iterable[ArmErrors]) -> bool:
     """Check whether the values of a swept field are numbers. True and False are not numbers."""
     return all(
         isinstance(arm.value, int | float) and not isinstance(arm.value, bool) for arm in arms

@@ -3,25 +3,25 @@
 The reasons are trials that do not count, unsafe robots, lost robots, damaged logs, and robots that
 turned differently than in the other trials.
 
-The rest of this text is about the last reason. If a camera shows a robot turning off course from
-the start of a trial, either its poses are wrong or its wheels differ, and no check of a single
+The rest of this docstring explains the last reason. If a camera shows a robot turning off course
+from the start of a trial, either its poses are wrong or its wheels differ, and no check of a single
 trial can decide which. However, a robot has the same wheels in every trial. With its rate x_k and
 standard error e_k in trial k of n (`lab.drift_check`), the median m of the rates and e of the
 errors, trial k differs if
 
-    |x_k - m| > z sqrt(e_k^2 + max(0, (1 + FEW / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
+    |x_k - m| > z sqrt(e_k^2 + max(0, (1 + f / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
 
 where s is a standard deviation of the rates that does not change if fewer than half of them are
-wrong. z is a quantile of the normal distribution, chosen such that in the fraction CHANCE of
-batches, one of the N n rates of N robots is beyond it by chance. With fewer trials, less is known
-of s. With FEW, normal rates exceed the limit in 1 % of batches of ten trials or more, and in at
-most 3 % of smaller ones.
+wrong, and f is FEW_TRIALS. z is a quantile of the normal distribution, chosen such that in the
+fraction FALSE_ALARM_FRACTION of batches, one of the N n rates of N robots is beyond it by chance.
+With fewer trials, less is known of s. With FEW_TRIALS, normal rates exceed the limit in 1 % of
+batches of ten trials or more, and in at most 3 % of smaller batches.
 
-With fewer than TRIALS_MIN trials, there is nothing to compare. The heading of a robot then counts
-as confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise, either its wheels
-differ from the spec, which a calibration corrects, or its pose is false. If a pose turns with its
-course at the rate x, while the robot drives a distance L in a time T, it is off its robot by at
-most
+With fewer than COMPARED_TRIALS_MIN trials, there is nothing to compare. The heading of a robot then
+counts as confirmed if its rate is 0 within CONFIRMED_ERRORS_MAX standard errors. Otherwise, either
+its wheels differ from the spec, which a calibration corrects, or its pose is false. If a pose turns
+with its course at the rate x, while the robot drives a distance L in a time T, the pose is off its
+robot by at most
 
     integral of x t dL <= |x| T L / 2.
 """
@@ -41,26 +41,29 @@ from tetractl.core.plan import Outcome
 from tetractl.core.setup import MM
 from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.statistics.open_batch import Batch, counts, errors_known
+from tetractl.statistics.open_batch import Batch, errors_known, is_counted
 from tetractl.tools.table.table import pluralize
 
-ATTEMPT = "an earlier attempt, excluded"
+ATTEMPT_NOTE = "an earlier attempt, excluded"
 
-ENTERED = "entered an obstacle"
-LEFT = "left the arena"
+ENTERED_OBSTACLE = "entered an obstacle"
+LEFT_ARENA = "left the arena"
 TOUCHED_EACH_OTHER = "touched one another"
 SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
-    ENTERED: Verdict.in_obstacle,
-    LEFT: Verdict.over_edge,
+    ENTERED_OBSTACLE: Verdict.in_obstacle,
+    LEFT_ARENA: Verdict.over_edge,
     TOUCHED_EACH_OTHER: Verdict.touched,
 }
-"""What must not happen, with a function that returns which robots of a given radius did it."""
+"""Unsafe events by their labels, each with a function that finds the robots that did it.
+
+The function takes the verdict of a trial and the radius of the robots.
+"""
 FALSE_ALARM_FRACTION = 0.01
 """Fraction of batches in which a rate is beyond its limit by chance."""
 COMPARED_TRIALS_MIN = 6
 """Minimum number of trials with a known rate that are compared."""
 FEW_TRIALS = 14.0
-"""Number n of trials for which the factor 1 + FEW / n doubles the deviation s; see above."""
+"""Number n of trials for which the factor 1 + f / n doubles the deviation s; see above."""
 CONFIRMED_ERRORS_MAX = 2.0
 """Maximum number of standard errors of a rate that counts as 0, with too few trials to compare."""
 DEVIATION_OVER_MEDIAN = 1.4826
@@ -77,7 +80,7 @@ class Flagged:
 
 
 def flagged(batch: Batch) -> list[Flagged]:
-    """Return the logs of a batch that a person should examine, then the earlier attempts.
+    """List the logs of a batch that a person should examine, followed by the earlier attempts.
 
     A trial is flagged if one of these is true:
 
@@ -89,19 +92,20 @@ def flagged(batch: Batch) -> list[Flagged]:
     - It has warnings and took place in a lab. In a simulation, the spec requests the disturbances.
     """
     logs: list[Flagged] = []
-    turned = turned_otherwise(batch.trials)
-    unconfirmed = unconfirmed_headings(batch.trials)
+    turned = turning_remarks(batch.trials)
+    unconfirmed = unconfirmed_heading_remarks(batch.trials)
     for trial in batch.trials:
         notes = [*trial_notes(trial), *turned.get(trial.log, ()), *unconfirmed.get(trial.log, ())]
-        if notes and not counts(trial):
+        if notes and not is_counted(trial):
             notes.insert(0, "excluded")
         if notes:
             logs.append(Flagged(trial.log, trial.outcome.value, tuple(notes)))
     for trial in batch.attempts:
-        notes = (ATTEMPT, *trial_notes(trial))
+        notes = (ATTEMPT_NOTE, *trial_notes(trial))
         logs.append(Flagged(trial.log, trial.outcome.value, notes))
     unreadable = [
-        Flagged(log.log, "cannot be read", (ATTEMPT, log.problem)) for log in batch.lost_attempts
+        Flagged(log.log, "cannot be read", (ATTEMPT_NOTE, log.problem))
+        for log in batch.lost_attempts
     ]
     return [*logs, *unreadable]
 
@@ -112,7 +116,7 @@ def trial_notes(trial: ResultSummary) -> list[str]:
     The result is empty if there are none.
     """
     result = trial.result
-    notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
+    notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe_robots(trial).items()]
     lost_count = sum(result.lost)
     if lost_count:
         notes.append(f"{lost_count} {pluralize('robot', lost_count)} lost")
@@ -129,50 +133,51 @@ def trial_notes(trial: ResultSummary) -> list[str]:
     return notes
 
 
-def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
-    """Return the robots of a trial that did something unsafe, by the labels in SAFETY.
+def unsafe_robots(trial: ResultSummary) -> dict[str, list[str]]:
+    """Find the robots of a trial that did something unsafe, by the labels in SAFETY.
 
     Labels without such a robot are left out.
     """
     names = [robot.name for robot in trial.experiment.robots]
     radius = trial.experiment.controller.body_radius
     robots_by_label: dict[str, list[str]] = {}
-    for label, robots_that_did in SAFETY.items():
-        did = robots_that_did(trial.result.verdict, radius)
-        if any(did):
-            robots_by_label[label] = list(compress(names, did))
+    for label, find_unsafe in SAFETY.items():
+        was_unsafe = find_unsafe(trial.result.verdict, radius)
+        if any(was_unsafe):
+            robots_by_label[label] = list(compress(names, was_unsafe))
     return robots_by_label
 
 
-# ---- Robots that turned otherwise ----
+# ---- Robots that turned differently than in their other trials ----
 
 
 @dataclass(frozen=True, slots=True)
 class TrialTurn:
-    """How differently a robot turned in one trial, compared with its other trials.
+    """A robot's turning rate off course in one trial, compared with its other trials.
 
     Attributes:
-        log: The log of the trial.
-        robot: The robot.
-        off: Its turning off course, minus the median of its trials [rad/s].
-        limit: Maximum difference that chance explains [rad/s].
+        log: Path of the trial's log.
+        robot: Name of the robot.
+        difference_rad_s: The robot's turning rate off course in this trial, minus the median over
+            its trials [rad/s].
+        limit_rad_s: Maximum difference that chance explains [rad/s].
     """
 
     log: str
     robot: str
-    off: float
-    limit: float
+    difference_rad_s: float
+    limit_rad_s: float
 
     @property
     def unusual(self) -> bool:
         """Whether the robot turned differently than in its other trials, beyond chance."""
-        return abs(self.off) > self.limit
+        return abs(self.difference_rad_s) > self.limit_rad_s
 
 
-def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
-    """Yield how each robot turned in each trial, robot by robot.
+def compare_turns(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
+    """Compare each robot's turning rate in each trial with its other trials, robot by robot.
 
-    A robot is left out if its rate is known in fewer than TRIALS_MIN trials.
+    A robot is left out if its rate is known in fewer than COMPARED_TRIALS_MIN trials.
     """
     for i, robot, compared in _trials_with_turn(trials):
         trial_count = len(compared)
@@ -181,14 +186,14 @@ def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
         rates = np.array([trial.result.verdict.turn[i] for trial in compared])
         errors = np.array([trial.result.verdict.turn_std[i] for trial in compared])
         deviations = rates - np.median(rates)
-        spread = (
+        rate_std = (
             (1 + FEW_TRIALS / trial_count) * DEVIATION_OVER_MEDIAN * np.median(np.abs(deviations))
         )
-        unexplained = max(0.0, spread**2 - np.median(errors) ** 2)  # by the errors
-        robots = len(trials[0].experiment.setup.names)
-        chance_of_one_side = FALSE_ALARM_FRACTION / (2 * robots * trial_count)
+        unexplained_variance = max(0.0, rate_std**2 - np.median(errors) ** 2)  # by the errors
+        n_robots = len(trials[0].experiment.setup.names)
+        chance_of_one_side = FALSE_ALARM_FRACTION / (2 * n_robots * trial_count)
         quantile = NormalDist().inv_cdf(1 - chance_of_one_side)
-        limits = quantile * np.sqrt(errors**2 + unexplained)
+        limits = quantile * np.sqrt(errors**2 + unexplained_variance)
         for trial, deviation, limit in zip(
             compared, deviations.tolist(), limits.tolist(), strict=True
         ):
@@ -210,10 +215,10 @@ def _trials_with_turn(
         yield i, robot, trials_with_rate
 
 
-def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+def unconfirmed_heading_remarks(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     """Describe the robots whose own motion does not confirm their heading, by the log's path.
 
-    Robots with TRIALS_MIN trials are compared by `turned_otherwise` instead.
+    Robots with COMPARED_TRIALS_MIN trials or more are compared by `turning_remarks` instead.
     """
     remarks = defaultdict[str, list[str]](list)
     for i, robot, measured_trials in _trials_with_turn(trials):
@@ -235,16 +240,16 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
     return remarks
 
 
-def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+def turning_remarks(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     """Describe the robots that turned differently than in their other trials, as {log: texts}.
 
     Logs without such a robot are left out.
     """
     remarks = defaultdict[str, list[str]](list)
-    for turn in turns_of(trials):
+    for turn in compare_turns(trials):
         if turn.unusual:
             remark = (
-                f"{turn.robot} turned at a rate that differs by {turn.off:+.2f} rad/s "
+                f"{turn.robot} turned at a rate that differs by {turn.difference_rad_s:+.2f} rad/s "
                 "from its other trials"
             )
             remarks[turn.log].append(remark)
@@ -254,8 +259,8 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
 def turn_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return the rate at which each robot turned off course [rad/s], and its standard error.
 
-    They are in two columns for each robot, with None if they are unknown. There is no column if
-    the trial was simulated or the robots have no wheels.
+    Each robot has two columns, whose values are None if they are unknown. There is no column if the
+    trial was simulated or if the robots have no wheels.
     """
     if trial.simulated or not trial.experiment.setup.on_wheels:
         return {}

@@ -48,29 +48,31 @@ class MeanDifference:
         )
 
     @classmethod
-    def untested(cls, value: float, why: str, degrees: float = _NAN) -> "MeanDifference":
+    def untested(cls, value: float, reason: str, degrees: float = _NAN) -> "MeanDifference":
         """Create a difference of two means without interval and p-value.
 
         Args:
             value: The difference.
-            why: Why it is not tested.
+            reason: Why the difference is not tested.
             degrees: Degrees of freedom. NaN if there are none.
         """
-        return cls(value, Interval.none(why), _NAN, degrees)
+        return cls(value, Interval.none(reason), _NAN, degrees)
 
-    def text(self, unit: str, show: Callable[[float], str], p: float) -> str:
+    def text(self, unit: str, format_number: Callable[[float], str], p_value: float) -> str:
         """Format this difference of two means, with its interval and a p-value.
 
         Args:
             unit: Unit of the difference.
-            show: Formats a number.
-            p: The p-value, corrected or not. NaN if there is none.
+            format_number: Formats a number.
+            p_value: The p-value, corrected or not. NaN if there is none.
         """
-        difference = f"{show(self.value)} {unit} (95 % interval {self.ci95.text(show)})"
-        if not p >= 0:  # NaN
+        difference = (
+            f"{format_number(self.value)} {unit} (95 % interval {self.ci95.text(format_number)})"
+        )
+        if not p_value >= 0:  # NaN
             return difference
-        equals = "" if p < 0.001 else "= "
-        return f"{difference}, p {equals}{format_p_value(p)}"
+        equals = "" if p_value < 0.001 else "= "
+        return f"{difference}, p {equals}{format_p_value(p_value)}"
 
     def as_dict(self) -> dict[str, object]:
         """Return the difference of means as items of JSON. Without a test, the p-value is NaN."""
@@ -90,11 +92,11 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
 
     Args:
         n1: Number of values in the first group.
-        mean1: Their mean.
-        std1: Their standard deviation, with n - 1.
+        mean1: Mean of the first group.
+        std1: Standard deviation of the first group, with n - 1.
         n2: Number of values in the second group.
-        mean2: Their mean.
-        std2: Their standard deviation, with n - 1.
+        mean2: Mean of the second group.
+        std2: Standard deviation of the second group, with n - 1.
     """
     difference = mean1 - mean2
     if min(n1, n2) < 2:
@@ -124,21 +126,21 @@ def paired_t(differences: Floats) -> MeanDifference:
     return MeanDifference.by_t(mean, error, n - 1, "paired t")
 
 
-def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
+def from_both_intervals(first: Distribution, second: Distribution) -> Interval:
     """Compute the interval of the difference of two means from the intervals of the means.
 
     With means m, m', lower ends l, l' and upper ends u, u', by Zou and Donner (Statistics in
     Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 + (m'
     - l')^2).
     """
-    below, above = _distances_to_ends(ours)
-    below2, above2 = _distances_to_ends(theirs)
+    below, above = _distances_to_ends(first)
+    below2, above2 = _distances_to_ends(second)
     if not all(map(math.isfinite, (below, above, below2, above2))):
-        unknown = ours if not ours.ci95.known else theirs
+        unknown = first if not first.ci95.known else second
         return Interval.none(f"no interval of one of the means: {unknown.ci95.reason}")
     if max(below, above, below2, above2) == 0:
         return Interval.none("the values do not vary on either side")
-    difference = ours.mean - theirs.mean
+    difference = first.mean - second.mean
     return Interval(
         difference - math.hypot(below, above2),
         difference + math.hypot(above, below2),
@@ -147,9 +149,9 @@ def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
 
 
 def _distances_to_ends(values: Distribution) -> tuple[float, float]:
-    """Compute the distances from a mean down and up to the ends of its interval.
+    """Compute the distances from a mean to the lower and the upper end of its interval.
 
-    Both are 0 if all values are equal, and NaN if there is no interval.
+    Both distances are 0 if all values are equal, and NaN if there is no interval.
     """
     if values.n > 1 and values.std == 0:
         return 0.0, 0.0
@@ -191,8 +193,8 @@ def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
     )
 
 
-EXACT = 60
-"""Maximum number of unpaired values without ties for which the p-value is exact."""
+EXACT_VALUES_MAX = 60
+"""Maximum number of unpaired values for which the rank-sum test is exact, without ties."""
 
 
 def signed_rank(differences: Floats) -> float:
@@ -211,7 +213,7 @@ def signed_rank(differences: Floats) -> float:
     return float(test.pvalue)
 
 
-def rank_sum(ours: Floats, theirs: Floats) -> float:
+def rank_sum(first: Floats, second: Floats) -> float:
     """Compute the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of two samples.
 
     The samples have shapes (m,) and (n,). The p-value is exact for up to EXACT values without ties.
@@ -219,15 +221,15 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
     """
     from scipy import stats
 
-    if min(len(ours), len(theirs)) == 0:
+    if min(len(first), len(second)) == 0:
         return _NAN
-    pooled = np.concatenate([ours, theirs])
+    pooled = np.concatenate([first, second])
     if pooled.min() == pooled.max():
         return 1.0
     has_ties = len(np.unique(pooled)) < len(pooled)
-    exact = len(pooled) <= EXACT and not has_ties
+    exact = len(pooled) <= EXACT_VALUES_MAX and not has_ties
     method = "exact" if exact else "asymptotic"
-    return float(stats.mannwhitneyu(ours, theirs, use_continuity=False, method=method).pvalue)
+    return float(stats.mannwhitneyu(first, second, use_continuity=False, method=method).pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -236,10 +238,10 @@ def holm(p_values: Sequence[float]) -> list[float]:
     The i-th smallest of k p-values is multiplied by k - i + 1, and is at least as large as the
     corrected value of the next smaller p-value. NaN stays NaN and is not counted in k.
     """
-    order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
+    order = sorted((p_value, i) for i, p_value in enumerate(p_values) if not math.isnan(p_value))
     corrected = [_NAN] * len(p_values)
     largest = 0.0  # of the corrected values of smaller p-values
-    for rank, (p, i) in enumerate(order):
-        largest = max(largest, min(1.0, p * (len(order) - rank)))
+    for rank, (p_value, i) in enumerate(order):
+        largest = max(largest, min(1.0, p_value * (len(order) - rank)))
         corrected[i] = largest
     return corrected

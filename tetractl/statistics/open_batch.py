@@ -10,36 +10,43 @@ from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.shown import NotebookDisplay
-from tetractl.log.read.find import find_logs, is_set_aside, without_others
+from tetractl.log.read.find import find_logs, is_set_aside, without_other_files
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
 from tetractl.tools.table.table import join_listed
 
 OnLog = Callable[[int, int], object]
-"""Called with the numbers of logs read and of all logs."""
+"""A function that is called with the number of logs read so far, and the number of all logs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log whose trial cannot be read: its path, and the problem."""
+    """A log whose trial cannot be read.
+
+    Attributes:
+        log: Path of the log.
+        problem: Why the trial cannot be read.
+    """
 
     log: str
     problem: str
 
     @property
     def set_aside(self) -> bool:
-        """Whether the log is an attempt that was set aside."""
+        """Whether `--resume` has set the log aside, as an earlier attempt at a trial."""
         return is_set_aside(Path(self.log).name)
 
 
 @dataclass(frozen=True, slots=True)
 class Batch(NotebookDisplay):
-    """Trials that form one batch.
+    """A batch: trials of one experiment, read from their logs.
 
-    `attempts` are earlier logs of the same trials. Either `--resume` has set them aside, or they
-    are incomplete and a complete log of the trial exists. `damaged` are logs whose trial cannot be
-    read, including attempts.
+    Attributes:
+        trials: The results of the trials.
+        attempts: The results of earlier attempts at the same trials. Either `--resume` has set
+            their logs aside, or they are incomplete and a complete log of the trial exists.
+        damaged: Logs whose trial cannot be read, including attempts.
     """
 
     trials: tuple[ResultSummary, ...]
@@ -52,7 +59,7 @@ class Batch(NotebookDisplay):
             "attempts": len(self.attempts),
             "damaged": len(self.damaged),
         }
-        return f"Batch({', '.join(f'{count} {what}' for what, count in counts.items() if count)})"
+        return f"Batch({', '.join(f'{count} {name}' for name, count in counts.items() if count)})"
 
     @classmethod
     def from_results(
@@ -64,11 +71,11 @@ class Batch(NotebookDisplay):
         of the same trial is complete. The order of the results is kept.
         """
         results = list(results)
-        complete = {_key(trial) for trial in results if trial.outcome.complete}
+        complete = {_trial_key(trial) for trial in results if trial.outcome.complete}
         trials: list[ResultSummary] = []
         attempts: list[ResultSummary] = []
         for trial in results:
-            replaced = not trial.outcome.complete and _key(trial) in complete
+            replaced = not trial.outcome.complete and _trial_key(trial) in complete
             if replaced or is_set_aside(Path(trial.log).name):
                 attempts.append(trial)
             else:
@@ -107,14 +114,14 @@ class Batches(NotebookDisplay, dict[str, Batch]):
     """Several batches by name, such as the arms of a study."""
 
 
-def _key(trial: ResultSummary) -> tuple[int, int]:
+def _trial_key(trial: ResultSummary) -> tuple[int, int]:
     return trial.seed, trial.trial
 
 
-def counts(trial: ResultSummary) -> bool:
-    """Check whether a trial's errors count in the means: they are known, and its log is intact.
+def is_counted(trial: ResultSummary) -> bool:
+    """Check whether a trial counts in the means: its errors are known, and its log is intact.
 
-    The errors are known if the trial is complete and they are finite.
+    The errors are known if the trial is complete and all errors are finite.
     """
     return errors_known(trial) and not trial.recovered
 
@@ -127,7 +134,12 @@ def errors_known(trial: ResultSummary) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The logs of a batch called `name`, before their results are read."""
+    """The logs of a batch, before their results are read.
+
+    Attributes:
+        name: Name of the batch.
+        logs: Paths of the logs.
+    """
 
     name: str
     logs: Sequence[Path]
@@ -142,8 +154,8 @@ class Source:
         """
         places = [Path(path) for path in paths]
         logs = find_logs(places, attempts=True)
-        first = str(paths[0])
-        name = first if has_magic(first) else places[0].resolve().name
+        first_path = str(paths[0])
+        name = first_path if has_magic(first_path) else places[0].resolve().name
         if len(paths) > 1:
             name += f" and {len(paths) - 1} more"
         return cls(name, logs)
@@ -155,13 +167,13 @@ class Source:
         """
         trials: list[ResultSummary] = []
         damaged: list[Damaged] = []
-        for done, log in enumerate(self.logs, start=1):
+        for read_count, log in enumerate(self.logs, start=1):
             try:
                 trials.append(read_result(log))
             except LogError as error:
                 problem = error.message.removeprefix(f"{log}: ")
                 damaged.append(Damaged(str(log), problem))
-            on_log(done, len(self.logs))
+            on_log(read_count, len(self.logs))
         return Batch.from_results(trials, damaged)
 
 
@@ -176,7 +188,7 @@ def open_batch(paths: Sequence[Path | str]) -> Batch:
     return Source.from_paths(paths).read()
 
 
-def batches_in(path: Path | str) -> list[Source]:
+def find_batches(path: Path | str) -> list[Source]:
     """Find the batches in a file, a folder or a pattern.
 
     Usually, the result is one batch. If the path is a folder whose logs are all in subfolders, such
@@ -191,7 +203,7 @@ def batches_in(path: Path | str) -> list[Source]:
     return [Source(arm.name, logs) for arm, logs in by_arm.items()]
 
 
-def one_source(paths: Sequence[Path | str]) -> Source:
+def combine_sources(paths: Sequence[Path | str]) -> Source:
     """Combine the logs in all paths into one batch.
 
     Raises:
@@ -199,7 +211,7 @@ def one_source(paths: Sequence[Path | str]) -> Source:
     """
     source = Source.from_paths(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
-        batches = len(batches_in(folder))
+        batches = len(find_batches(folder))
         if batches > 1:
             raise UsageError(
                 f"{folder}: this folder holds {batches} batches", "name the folder of each batch"
@@ -207,28 +219,30 @@ def one_source(paths: Sequence[Path | str]) -> Source:
     return source
 
 
-def sources(paths: Sequence[str]) -> list[Source]:
-    """Find the batches that a user means by some paths.
+def find_sources(paths: Sequence[str]) -> list[Source]:
+    """Find the batches in the paths that a user has named.
 
     A single path gives the batches in it. If all paths are folders, each is a batch. Otherwise, all
     paths together form one batch.
     """
-    listed = without_others(paths)
+    listed = without_other_files(paths)
     if len(listed) == 1:
-        return batches_in(listed[0])
+        return find_batches(listed[0])
     if not all(map(Path.is_dir, listed)):
-        return [one_source(listed)]
-    batches = [one_source([folder]) for folder in listed]
+        return [combine_sources(listed)]
+    batches = [combine_sources([folder]) for folder in listed]
     if len({source.name for source in batches}) == len(batches):
         return batches
     return [Source(str(path), source.logs) for path, source in zip(listed, batches, strict=True)]
 
 
 def experiment_of(batch: Batch) -> Experiment:
-    """Return the experiment that all trials and attempts share.
+    """Return the experiment that all trials and attempts of a batch share.
 
-    Raises UsageError if the experiments or the plants differ, or if a trial occurs twice, because
-    copies of a log would count as independent trials.
+    Raises:
+        UsageError: If there is no trial, if the experiments or the plants differ, or if a trial
+            occurs twice, because copies of a log would count as independent trials.
+        LogError: If no log can be read.
     """
     if not batch.trials:
         if batch.attempts:
@@ -240,14 +254,14 @@ def experiment_of(batch: Batch) -> Experiment:
         if batch.lost:
             raise LogError("no log can be read: {0.log}: {0.problem}".format(batch.lost[0]))
         raise UsageError("there is no trial to summarise")
-    first = batch.trials[0]
+    first_trial = batch.trials[0]
     for trial in (*batch.trials, *batch.attempts):
-        _check_alike(first, trial)
+        _check_same_experiment(first_trial, trial)
     _refuse_copies(batch.trials)
-    return first.experiment
+    return first_trial.experiment
 
 
-def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
+def _check_same_experiment(first: ResultSummary, second: ResultSummary) -> None:
     """Raise UsageError if two trials come from different kinds of plants or experiments."""
     if second.origin is not first.origin:
         raise UsageError(
@@ -275,17 +289,17 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
     trials_by_key: dict[object, ResultSummary] = {}
     for trial in trials:
         # Two trials in the lab may have the same number and seed, and are different trials.
-        key = _key(trial) if trial.simulated else trial.digest or id(trial)
-        twin = trials_by_key.setdefault(key, trial)
-        if twin is not trial:
+        key = _trial_key(trial) if trial.simulated else trial.digest or id(trial)
+        earlier = trials_by_key.setdefault(key, trial)
+        if earlier is not trial:
             raise UsageError(
-                f"{twin.log} and {trial.log} contain the same trial (seed {trial.seed}, "
+                f"{earlier.log} and {trial.log} contain the same trial (seed {trial.seed}, "
                 f"trial {trial.trial})",
                 "give each trial only once, for instance by naming only one of the two folders",
             )
 
 
-def differences(ours: Experiment, theirs: Experiment) -> list[str]:
+def differences(first: Experiment, second: Experiment) -> list[str]:
     """Describe the fields in which two experiments differ, as `controller.horizon_max: 20 != 30`.
 
     If the value is a section, or a list that differs in length, only the field's path is given.
@@ -293,35 +307,35 @@ def differences(ours: Experiment, theirs: Experiment) -> list[str]:
     same rule, and given directions, because each trial has its own.
     """
     left_out: dict[str, Any] = dict.fromkeys(CHANGES_NO_TRIAL, True)
-    if ours.chosen is not None and ours.asked == theirs.asked:
+    if first.chosen is not None and first.asked == second.asked:
         left_out["robots"] = True
         left_out["chosen"] = True
-    if ours.directions_given and theirs.directions_given:
+    if first.directions_given and second.directions_given:
         left_out["controller"] = {"directions"}
-    our_fields = ours.model_dump(mode="json", exclude=left_out)
-    their_fields = theirs.model_dump(mode="json", exclude=left_out)
-    return list(_differences(our_fields, their_fields))
+    first_fields = first.model_dump(mode="json", exclude=left_out)
+    second_fields = second.model_dump(mode="json", exclude=left_out)
+    return list(_differences(first_fields, second_fields))
 
 
-def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
+def _differences(first: Any, second: Any, path: str = "") -> Iterator[str]:
     """Yield each field in which two values at a path of a spec differ, as "PATH: OURS != THEIRS".
 
     If lists or mappings cannot be compared entry by entry, only the path is yielded.
     """
-    if ours == theirs:
+    if first == second:
         return
-    both_lists = isinstance(ours, list) and isinstance(theirs, list)
-    if isinstance(ours, dict) and isinstance(theirs, dict):
-        for key in ours | theirs:
+    both_lists = isinstance(first, list) and isinstance(second, list)
+    if isinstance(first, dict) and isinstance(second, dict):
+        for key in first | second:
             inner = f"{path}.{key}" if path else key
-            yield from _differences(ours.get(key), theirs.get(key), inner)
-    elif both_lists and len(ours) == len(theirs):
-        for i, (our_item, their_item) in enumerate(zip(ours, theirs, strict=True)):
-            yield from _differences(our_item, their_item, f"{path}.{i}")
-    elif isinstance(ours, dict | list) or isinstance(theirs, dict | list):
+            yield from _differences(first.get(key), second.get(key), inner)
+    elif both_lists and len(first) == len(second):
+        for i, (first_item, second_item) in enumerate(zip(first, second, strict=True)):
+            yield from _differences(first_item, second_item, f"{path}.{i}")
+    elif isinstance(first, dict | list) or isinstance(second, dict | list):
         yield path
     else:
-        yield f"{path}: {_as_text(ours)} != {_as_text(theirs)}"
+        yield f"{path}: {_as_text(first)} != {_as_text(second)}"
 
 
 def _as_text(value: Any) -> str:

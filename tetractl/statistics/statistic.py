@@ -21,7 +21,7 @@ from tetractl.core.registries import STATISTICS
 from tetractl.core.trial import Result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.statistics.estimate import Distribution, distributions, percent, proportion_interval
-from tetractl.statistics.open_batch import counts
+from tetractl.statistics.open_batch import is_counted
 from tetractl.tools.table.table import create_length_format
 
 
@@ -52,8 +52,8 @@ def share_figure(
     """Create a figure: in how many trials a condition holds, with Wilson's interval.
 
     Args:
-        key: Key of the statistic.
-        label: Its label in tables.
+        key: Key of the statistic in JSON and CSV.
+        label: Label of the statistic in tables.
         holding: Number of trials for which the condition holds.
         trials: Number of trials.
         counting: What the condition refers to, such as "bodies", if that can differ.
@@ -112,7 +112,7 @@ def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statis
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
-        numbers = [number_in(trial.result) for trial in trials if counts(trial)]
+        numbers = [number_in(trial.result) for trial in trials if is_counted(trial)]
         finite = [value for value in numbers if math.isfinite(value)]
         (distribution,) = distributions(np.array([finite]))
         mean = mean_figure(key, f"{label}, mean", distribution)
@@ -171,7 +171,7 @@ def statistics() -> list[Statistic]:
 
 
 def trial_items(trial: ResultSummary) -> dict[str, Any]:
-    """Return the items of one trial in JSON, including those of every statistic.
+    """Return the JSON items of one trial, including the items of every statistic.
 
     An item of a statistic replaces an earlier one with the same key.
     """
@@ -191,5 +191,5 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
     }
     for statistic in statistics():
         items |= statistic.of_trial(trial)
-    items["counted"] = counts(trial)
+    items["counted"] = is_counted(trial)
     return items

@@ -1,8 +1,8 @@
 """Create tables of batches and their comparisons, which `stats` and the report page show.
 
-    summary         `stats`, and the end of a run: the errors, the verdict and unusual findings
-    tables          `stats --full`: every table
-    trials_listed   a row for each trial of a batch, on the report page and in a notebook
+    summary         the tables of `stats` and of the end of a run: errors, verdict, unusual findings
+    tables          every table, for `stats --full`
+    trials_listed   a table with a row for each trial of a batch, for the report page and notebooks
 
 `as_json` returns the same numbers for other programs, in JSON and CSV. The CSV table has a row for
 each trial of a batch (`trial_tables.trials_table`).
@@ -18,7 +18,7 @@ from tetractl.spec.experiment import Experiment
 from tetractl.statistics.built_in_statistics import MEANINGS
 from tetractl.statistics.describe import BatchComparison, BatchStatistics, Contrast
 from tetractl.statistics.estimate import Distribution, Interval, known_distribution
-from tetractl.statistics.flagged import flagged, unsafe
+from tetractl.statistics.flagged import flagged, unsafe_robots
 from tetractl.statistics.mean_difference import MeanDifference
 from tetractl.statistics.statistic import Figure
 from tetractl.tools.table.table import (
@@ -41,7 +41,7 @@ PUBLISHED_LABEL = "difference from published"
 TINY_FRACTION = 1e-6
 """Errors below this fraction of the arena are not unusual, even if far above the median."""
 PAIR_COLUMN = "one - other"
-"""The column that names the two batches of a comparison."""
+"""Label of the column that names the two batches of a comparison."""
 
 
 # ---- The summary ----
@@ -53,16 +53,21 @@ def summary(comparison: BatchComparison) -> list[Table]:
     If there are three batches or more, the verdicts have their own table.
     """
     groups = comparison.groups
-    first = groups[0]
+    first_group = groups[0]
     errors = _errors_table(groups, _total_errors(groups))
     notes: list[str] = []
     if len(groups) <= 2:
         notes += [
             f"{contrast.name}: {_describe_verdict(contrast)}" for contrast in comparison.contrasts
         ]
-    published = first.from_published
-    if len(groups) == 1 and published is not None and first.origin.comparable and first.counted:
-        notes.append(f"{PUBLISHED_LABEL}: {published_text(published, first)}")
+    published = first_group.from_published
+    if (
+        len(groups) == 1
+        and published is not None
+        and first_group.origin.comparable
+        and first_group.counted
+    ):
+        notes.append(f"{PUBLISHED_LABEL}: {published_text(published, first_group)}")
     notes += _unusual_lines(groups)
     with_notes = replace(errors, note="\n".join(notes))
     if len(groups) <= 2:
@@ -95,7 +100,7 @@ def _describe_verdict(contrast: Contrast) -> str:
 def _unusual_lines(groups: Sequence[BatchStatistics]) -> Iterator[str]:
     """Yield a line for each kind of unusual finding, as `LABEL: NAMES: TEXT; NAMES: TEXT`.
 
-    Each text has the names of the batches it is true for, unless there is only one batch.
+    Each text names the batches that it applies to, unless there is only one batch.
     """
     names_of_remark: dict[tuple[str, str], list[str]] = {}  # by label and text
     for group in groups:
@@ -110,37 +115,39 @@ def _unusual_lines(groups: Sequence[BatchStatistics]) -> Iterator[str]:
         yield f"{label}: {join_listed(texts, '; ')}"
 
 
-def _unusual_remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
+def _unusual_remarks(
+    group: BatchStatistics, is_one_of_several: bool
+) -> Iterator[tuple[str, str, str]]:
     """Yield the unusual findings of a batch.
 
     Args:
         group: The batch.
-        several: Whether it is one of several batches, so that the short form is used.
+        is_one_of_several: Whether there are several batches. Then the short form is used.
 
     Yields:
         The label and the text of a finding, and the name of the batch or trial that it is about.
     """
     for figure in figures_of(group):
         brief = figure.text if figure.brief is None else figure.brief
-        text = brief if several else figure.text
+        text = brief if is_one_of_several else figure.text
         if figure.unusual and text:
             yield figure.label, text, group.name
     logs = flagged(group.batch)
     notes = [", ".join(log.notes) for log in logs]
     stems = [Path(log.log).stem for log in logs]
-    if not several:
+    if not is_one_of_several:
         for stem, note in zip(stems, notes, strict=True):
             yield "flagged", note, stem
     elif logs:  # the first one: `stats` of this batch alone names them all
-        others = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
-        yield "flagged", f"{stems[0]} ({notes[0]}){others}", group.name
+        addition = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+        yield "flagged", f"{stems[0]} ({notes[0]}){addition}", group.name
 
 
 # ---- The figures of a batch ----
 
 
 GIVEN_DIRECTIONS = "given directions"
-"""What tables and figures call a batch in which no controller decided."""
+"""Label in tables and figures for a batch in which no controller decided."""
 
 
 def figures_of(group: BatchStatistics) -> Iterator[Figure]:
@@ -178,9 +185,9 @@ def _tail_figure(group: BatchStatistics) -> Figure:
     """
     arena = group.experiment.arena
     tail = group.total.tail
-    tiny = group.total.max < TINY_FRACTION * max(arena.width, arena.height)
+    are_tiny = group.total.max < TINY_FRACTION * max(arena.width, arena.height)
     text = tail.text(group.unit)
-    return Figure(tail.label, text, unusual=tail.above > 0 and not tiny)
+    return Figure(tail.label, text, unusual=tail.above > 0 and not are_tiny)
 
 
 def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
@@ -203,13 +210,13 @@ def tables(comparison: BatchComparison) -> list[Table]:
     Tables without a row are left out.
     """
     groups = comparison.groups
-    parts = [groups[i : i + COLUMNS_MAX] for i in range(0, len(groups), COLUMNS_MAX)]
-    trials = [_trials_table(part, is_only_batch=len(groups) == 1) for part in parts]
+    group_chunks = [groups[i : i + COLUMNS_MAX] for i in range(0, len(groups), COLUMNS_MAX)]
+    trial_tables = [_trials_table(chunk, is_only_batch=len(groups) == 1) for chunk in group_chunks]
     distributions = _total_errors(groups)
     if len(groups) == 1:
         distributions += zip(groups[0].experiment.setup.names, groups[0].robots, strict=True)
     errors = _errors_table(groups, distributions)
-    candidates = [errors, *trials]
+    candidates = [errors, *trial_tables]
     if comparison.contrasts:
         candidates += [differences_table(comparison.contrasts), _basis_table(comparison.contrasts)]
     candidates.append(_flagged_table(groups))
@@ -222,11 +229,11 @@ def _trials_table(groups: Sequence[BatchStatistics], is_only_batch: bool) -> Tab
     An entry is None if the batch does not have the figure.
     """
     texts = [texts_by_label(group) for group in groups]
-    labels = list(dict.fromkeys(label for text_of in texts for label in text_of))
+    labels = list(dict.fromkeys(label for text_by_label in texts for label in text_by_label))
     columns = [Column("figure", labels)]
-    for group, text_of in zip(groups, texts, strict=True):
+    for group, text_by_label in zip(groups, texts, strict=True):
         name = "value" if is_only_batch else group.name
-        columns.append(Column(name, [text_of.get(label) for label in labels], words=True))
+        columns.append(Column(name, [text_by_label.get(label) for label in labels], words=True))
     return Table("Trials", tuple(columns))
 
 
@@ -245,23 +252,23 @@ def _flagged_table(groups: Sequence[BatchStatistics]) -> Table:
 # ---- Errors ----
 
 
-def error_format(smallest: float, decimals_most: int) -> Callable[[float], str]:
+def error_format(smallest: float, decimals_max: int) -> Callable[[float], str]:
     """Create a function that formats errors with about three digits.
 
     Args:
         smallest: Size of the smallest errors, usually the minimum mean. Errors of up to ten times
             this size have the same number of decimals. Larger ones have three digits of their own.
-        decimals_most: Maximum number of decimals.
+        decimals_max: Maximum number of decimals.
     """
-    format_smallest = create_length_format(smallest, decimals_most)
+    format_smallest = create_length_format(smallest, decimals_max)
 
-    def show(value: float) -> str:
+    def format_error(value: float) -> str:
         if value > 10 * smallest > 0:
-            format_of_value = create_length_format(value, decimals_most)
+            format_of_value = create_length_format(value, decimals_max)
             return format_of_value(value)
         return format_smallest(value)
 
-    return show
+    return format_error
 
 
 def decimals_shown(experiment: Experiment) -> int:
@@ -270,8 +277,8 @@ def decimals_shown(experiment: Experiment) -> int:
     Smaller differences have no meaning.
     """
     extent = max(experiment.arena.width, experiment.arena.height)
-    of_a_millionth = 6 - math.floor(math.log10(extent))
-    return min(max(of_a_millionth, 0), DECIMALS_MAX)
+    millionth_decimals = 6 - math.floor(math.log10(extent))
+    return min(max(millionth_decimals, 0), DECIMALS_MAX)
 
 
 def error_table(
@@ -279,7 +286,7 @@ def error_table(
     named_errors: Sequence[tuple[str, Distribution]],
     unit: str,
     smallest: float | None = None,
-    decimals_most: int = DECIMALS_MAX,
+    decimals_max: int = DECIMALS_MAX,
 ) -> Table:
     """Create a table with one row for each distribution of errors.
 
@@ -288,12 +295,12 @@ def error_table(
         named_errors: The distributions with their names.
         unit: Unit of the errors.
         smallest: Mean that determines the format. None for the minimum mean.
-        decimals_most: Maximum number of decimals.
+        decimals_max: Maximum number of decimals.
     """
     errors = [distribution for _, distribution in named_errors]
     if smallest is None:
         smallest = min((value.mean for value in errors if value.mean > 0), default=0.0)
-    format_error = error_format(smallest, decimals_most)
+    format_error = error_format(smallest, decimals_max)
 
     return Table(
         title,
@@ -317,17 +324,19 @@ def error_table(
 def _errors_table(
     groups: Sequence[BatchStatistics], named_errors: Sequence[tuple[str, Distribution]]
 ) -> Table:
-    """Return the table of the `named_errors` errors of batches, formatted for the smallest total.
+    """Create the table of the errors of batches, in a format that suits the smallest total error.
 
-    All batches use the length unit of the first one.
+    Args:
+        groups: The batches. All of them use the length unit of the first batch.
+        named_errors: The distributions of errors, each with a name.
     """
-    first = groups[0]
+    first_group = groups[0]
     return error_table(
         _errors_title(groups),
         named_errors,
-        first.unit,
+        first_group.unit,
         smallest=min((group.total.mean for group in groups if group.counted), default=math.nan),
-        decimals_most=decimals_shown(first.experiment),
+        decimals_max=decimals_shown(first_group.experiment),
     )
 
 
@@ -355,10 +364,11 @@ def _published_errors(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, 
 
 
 def _errors_title(groups: Sequence[BatchStatistics]) -> str:
-    first = groups[0]
+    first_group = groups[0]
     if len(groups) == 1:
-        valid = f"{first.counted} of {len(first.batch.trials)} trials valid"
-        return f"{first.experiment.name}, {first.origin}: final error [{first.unit}], {valid}"
+        valid = f"{first_group.counted} of {len(first_group.batch.trials)} trials valid"
+        name = first_group.experiment.name
+        return f"{name}, {first_group.origin}: final error [{first_group.unit}], {valid}"
     plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
     title = f"Final total errors of {len(groups)} batches, {plants}"
     if any(group.origin is Origin.DISTURBED for group in groups):
@@ -446,7 +456,7 @@ def trials_listed(group: BatchStatistics) -> Table:
                 "duration", [t.result.duration_s for t in trials], "s", create_decimal_format(2)
             ),
             Column("steps", [trial.result.steps for trial in trials]),
-            Column("unsafe", [", ".join(unsafe(trial)) or "no" for trial in trials]),
+            Column("unsafe", [", ".join(unsafe_robots(trial)) or "no" for trial in trials]),
             Column("outcome", [trial.outcome.value for trial in trials]),
         ),
         "; ".join(f"{outcome.value}: {MEANINGS[outcome]}" for outcome in outcomes),

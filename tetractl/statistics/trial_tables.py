@@ -40,7 +40,7 @@ from tetractl.statistics.open_batch import Batch
 from tetractl.statistics.statistic import trial_items
 from tetractl.tools.table.table import Column, Table
 
-_WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
+_TEXT_COLUMNS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 
 
 def trials_table(batch: Batch) -> Table:
@@ -62,7 +62,7 @@ def _trial_row(trial: ResultSummary) -> dict[str, Any]:
     items = trial_items(trial)
     total_error = items.pop("total_error")
     robot_errors = items.pop("robot_errors")
-    row = {f"{key}_{unit}" if key in LENGTHS else key: item for key, item in items.items()}
+    row = {f"{key}_{unit}" if key in LENGTHS else key: value for key, value in items.items()}
     row[f"total_error_{unit}"] = total_error
     for robot, error in zip(trial.experiment.robots, robot_errors, strict=True):
         row[f"error_{robot.name}_{unit}"] = error
@@ -70,7 +70,7 @@ def _trial_row(trial: ResultSummary) -> dict[str, Any]:
 
 
 def steps(log: TrialLog, contents: RawLog) -> Table:
-    """Return one row per control step k: the direction sent, its plan and its searches.
+    """Create the table of control steps: the direction sent in each step, its plan and searches.
 
     The columns `left_NAME` and `right_NAME` are the wheel speeds of robot NAME, by the paper's
     equations (24)-(25). `delivered_NAME` is False if the plant knows that the command did not reach
@@ -78,13 +78,13 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     `identify` reads it. Columns that begin with `plan_` are `Plan.numbers`.
     """
     timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
-    untimed = StepTiming()
+    no_timing = StepTiming()
     steps = list(contents.messages(STEP))
-    rows = [_step_row(log, step, timings.get(step.k, untimed)) for step in steps]
+    rows = [_step_row(log, step, timings.get(step.k, no_timing)) for step in steps]
     no_command = WheelCommand(delivered=[False] * len(log.start.setup.names))
     no_step = ControllerStep(command=no_command, searches=[Search()])
     columns: dict[str, list[Any]] = {}
-    for name in _step_row(log, no_step, untimed):  # a trial without steps has columns, too
+    for name in _step_row(log, no_step, no_timing):  # a trial without steps has columns, too
         columns[name] = [row[name] for row in rows]
     return _table("steps", columns | _number_columns(steps))
 
@@ -96,14 +96,14 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
     speeds are None if they are unknown.
     """
     setup = log.start.setup
-    sent = step.command
+    command = step.command
     chosen = step.searches[step.chosen]
     row = {
         "k": step.k,
-        "time_s": log.elapsed_s(sent.sent_ns),
+        "time_s": log.elapsed_s(command.sent_ns),
         "observed_s": log.elapsed_s(step.observation.sampled_ns),
-        "direction_rad": sent.direction if sent.HasField("direction") else None,
-        "lag_s": sent.lag if sent.HasField("lag") else setup.lag_s,
+        "direction_rad": command.direction if command.HasField("direction") else None,
+        "lag_s": command.lag if command.HasField("lag") else setup.lag_s,
         f"cost_{setup.unit}": step.cost,
         f"target_cost_{setup.unit}": step.target_cost,
         "obstacle_cost": step.obstacle_cost,
@@ -115,12 +115,12 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
         "solve_ms": timing.solve_ns / MILLISECOND,
         "deadline_missed": timing.deadline_missed,
     }
-    for robot, delivered in zip(setup.names, sent.delivered, strict=True):
+    for robot, delivered in zip(setup.names, command.delivered, strict=True):
         row[f"delivered_{robot}"] = delivered
     if not setup.on_wheels:
         return row
     unknown = [None] * len(setup.names)
-    wheels = zip(setup.names, sent.left or unknown, sent.right or unknown, strict=True)
+    wheels = zip(setup.names, command.left or unknown, command.right or unknown, strict=True)
     for robot, left_speed, right_speed in wheels:
         row[f"left_{robot}_{setup.unit}_s"] = left_speed
         row[f"right_{robot}_{setup.unit}_s"] = right_speed
@@ -134,28 +134,30 @@ def _number_columns(steps: Sequence[ControllerStep]) -> dict[str, list[float | N
     names, otherwise ValueError is raised.
     """
     numbers = [{number.name: number.value for number in step.numbers} for step in steps]
-    names = dict.fromkeys(name for of_step in numbers for name in of_step)
+    names = dict.fromkeys(name for step_numbers in numbers for name in step_numbers)
     if len(names) > NUMBERS_MAX:
         raise ValueError(f"the controller's numbers have {len(names)} names")
     return {
-        f"plan_{printable(name, NUMBER_NAME_MAX)}": [of_step.get(name) for of_step in numbers]
+        f"plan_{printable(name, NUMBER_NAME_MAX)}": [
+            step_numbers.get(name) for step_numbers in numbers
+        ]
         for name in names
     }
 
 
 def poses(log: TrialLog) -> Table:
-    """Return one row per camera frame and robot: the measured pose and, if simulated, the true one.
+    """Create the table of poses: a row per camera frame and robot, with measured and true pose.
 
-    `valid` is False if the robot was not tracked.
+    The true pose is only known in a simulation. `valid` is False if the robot was not tracked.
     """
     setup = log.start.setup
     unit = setup.unit
-    frames = len(log.frames)
-    robots = len(setup.names)
+    n_frames = len(log.frames)
+    n_robots = len(setup.names)
     columns: dict[str, Any] = {
-        "time_s": np.repeat(log.frames_s, robots),
-        "frame": np.repeat(log.frames, robots),
-        "robot": np.tile(setup.names, frames),
+        "time_s": np.repeat(log.frames_s, n_robots),
+        "frame": np.repeat(log.frames, n_robots),
+        "robot": np.tile(setup.names, n_frames),
     }
     truth = np.full_like(log.mocap, np.nan) if log.truth is None else log.truth
     for prefix, poses in (("", log.mocap), ("true_", truth)):
@@ -168,17 +170,17 @@ def poses(log: TrialLog) -> Table:
 
 
 def estimates(log: TrialLog, contents: RawLog) -> Table:
-    """Return a table with one row for each control step and robot.
+    """Create the table of estimates: a row for each control step and robot.
 
-    It holds the controller's estimates and their standard deviations.
+    The table has the controller's estimates and their standard deviations.
     """
     setup = log.start.setup
-    robots = len(setup.names)
+    n_robots = len(setup.names)
     steps = [step for step in contents.messages(STEP) if step.HasField("estimate")]
     sent_s = [log.elapsed_s(step.command.sent_ns) for step in steps]
     columns: dict[str, Any] = {
-        "k": np.repeat([step.k for step in steps], robots),
-        "time_s": np.repeat(sent_s, robots),
+        "k": np.repeat([step.k for step in steps], n_robots),
+        "time_s": np.repeat(sent_s, n_robots),
         "robot": np.tile(setup.names, len(steps)),
     }
     units = {
@@ -189,30 +191,30 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
         "lag": "s",
     }
     for field in ESTIMATE_FIELDS:
-        rows = [_of_each_robot(step.estimate, field, robots) for step in steps]
+        rows = [_values_by_robot(step.estimate, field, n_robots) for step in steps]
         unit = units.get(field.removesuffix("_std"))
         name = field if unit is None else f"{field}_{unit}"
         columns[name] = np.array(rows, dtype=float).ravel()
     return _table("estimates", columns)
 
 
-def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:
-    """Return a field of an estimate for each robot (N,).
+def _values_by_robot(estimate: Estimate, field: str, n_robots: int) -> Floats:
+    """Return the values of an estimate's field for all robots, shape (N,).
 
-    The field is NaN if it is not logged. A single number is repeated for all robots. Of several
-    misfits, each robot gets its largest.
+    The values are NaN if the field is not logged. A single number is repeated for all robots. If a
+    robot has several misfits, its value is the largest misfit.
     """
     if field not in {logged.name for logged, _ in estimate.ListFields()}:
-        return np.full(robots, np.nan)
+        return np.full(n_robots, np.nan)
     values = np.array(getattr(estimate, field), dtype=float)
     if values.ndim == 0:
-        return np.full(robots, values)
+        return np.full(n_robots, values)
     width = len(INNOVATIONS) if field == "misfit" else 1
-    return values.reshape(robots, width).max(axis=1)
+    return values.reshape(n_robots, width).max(axis=1)
 
 
 def events(log: TrialLog) -> Table:
-    """Return one row per event, such as a lost command, lost tracking, or the end of the trial.
+    """Create the table of events, such as lost commands, lost tracking and the end of the trial.
 
     Times [s] count from the first direction, so they can be negative.
     """
@@ -226,17 +228,19 @@ def events(log: TrialLog) -> Table:
     )
 
 
-OF_TRIAL: Mapping[str, Callable[[TrialLog, RawLog], Table]] = {
+TABLE_FUNCTIONS: Mapping[str, Callable[[TrialLog, RawLog], Table]] = {
     "steps": steps,
     "poses": lambda log, _: poses(log),
     "estimates": estimates,
     "events": lambda log, _: events(log),
 }
-TABLES = ("trials", *OF_TRIAL)
+"""Functions that create the tables of a single trial, by the names of the tables."""
+TABLES = ("trials", *TABLE_FUNCTIONS)
+"""Names of all tables that `tetractl export` can write."""
 
 
-def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
-    """Return the named tables of a log, and its damage.
+def read_tables(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
+    """Read the named tables from a log, and return them with the damage of the log.
 
     Each table has the columns `log` and `trial` in front. Plans are not decoded, so values in plans
     that no table shows are not checked.
@@ -249,7 +253,7 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
     if "trials" in names:
         tables["trials"] = trials_table(Batch.from_results([result_of(contents)]))
     log = trial_of(contents, 1)
-    for name, table in OF_TRIAL.items():
+    for name, table in TABLE_FUNCTIONS.items():
         if name in names:
             with decode_errors(contents):
                 rows = table(log, contents)
@@ -258,5 +262,5 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
 
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:
-    described = [Column(key, values, words=key in _WORDS) for key, values in columns.items()]
+    described = [Column(key, values, words=key in _TEXT_COLUMNS) for key, values in columns.items()]
     return Table(name, tuple(described))

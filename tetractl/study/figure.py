@@ -11,7 +11,13 @@ from matplotlib.figure import Figure
 
 from tetractl.run.store import Store
 from tetractl.statistics.estimate import ArmErrors
-from tetractl.study.arm_table import LISTED, field_values, given_note, group_of, origins
+from tetractl.study.arm_table import (
+    ARMS_LISTED_MAX,
+    arm_origins,
+    given_directions_note,
+    group_by_value,
+    group_errors,
+)
 from tetractl.study.load_study import Arm, LoadedStudy
 from tetractl.view import style
 from tetractl.view.figures.sweep import study_errors_figure
@@ -20,8 +26,8 @@ from tetractl.view.figures.sweep import study_errors_figure
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the figures of a study, and return their paths.
 
-    They are error-arms.png, and error-FIELD.png for every swept field. If no trial has an error,
-    there are none. The same results give the same bytes.
+    The figures are error-arms.png, and error-FIELD.png for every swept field. If no trial has an
+    error, no figure is written. The same results give the same bytes.
     """
     paths: list[Path] = []
     for field in ("", *loaded.paths):
@@ -42,40 +48,40 @@ def study_figure(loaded: LoadedStudy, store: Store, field: str = "") -> Figure |
     Args:
         loaded: The study.
         store: Its folder.
-        field: A swept field, to draw all arms against its values. Empty to draw at most LISTED
-            arms.
+        field: A swept field, to draw all arms against its values. Empty to draw at most
+            ARMS_LISTED_MAX arms.
 
     Returns:
         The figure. None if no trial has an error.
     """
-    arms = loaded.arms if field else loaded.arms[:LISTED]
+    arms = loaded.arms if field else loaded.arms[:ARMS_LISTED_MAX]
     curves: dict[str, list[ArmErrors]] = {}
-    for controller, of_controller in _by_controller(arms).items():
+    for controller, controller_arms in _by_controller(arms).items():
         if field:
-            groups = field_values(store, field, of_controller)
+            groups = group_by_value(store, field, controller_arms)
         else:
-            groups = [group_of(store, arm.name, [arm]) for arm in of_controller]
+            groups = [group_errors(store, arm.name, [arm]) for arm in controller_arms]
         curves[controller] = [group for group in groups if group.error.n > 0]
     all_groups = [group for groups in curves.values() for group in groups]
     if not all_groups:
         return None
     figure = study_errors_figure(curves, field, loaded.unit, len(loaded.paths) == 1)
-    title = [_headline(loaded, all_groups), given_note(arms)]
+    title = [_headline(loaded, all_groups), given_directions_note(arms)]
     style.headline(figure, "; ".join(text for text in title if text))
     return figure
 
 
 def _by_controller(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
     """Group the arms of a study by their controller, in the order of the arms."""
-    arms_of: dict[str, list[Arm]] = {}
+    arms_by_controller: dict[str, list[Arm]] = {}
     for arm in arms:
-        arms_of.setdefault(arm.controller, []).append(arm)
-    return arms_of
+        arms_by_controller.setdefault(arm.controller, []).append(arm)
+    return arms_by_controller
 
 
 def _headline(loaded: LoadedStudy, groups: Sequence[ArmErrors]) -> str:
     """Format the title: study, plants, the statistic drawn, and the number of trials."""
-    plants = sorted(set(origins(loaded)))
+    plants = sorted(set(arm_origins(loaded)))
     counts = sorted({group.error.n for group in groups})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     pooled = " over the other fields" if any(group.arms > 1 for group in groups) else ""

@@ -3,9 +3,9 @@
 A variant is called an arm: the combination of one point of the sweep with one controller. In the
 order of the arms,
 
-    _combinations    yields each
-    _arm             loads the base spec with its settings, and checks it
-    _placed          reports a problem of that spec at the setting that causes it
+    _combinations      yields the combinations
+    _load_arm          loads the base spec with the settings of a combination, and checks the spec
+    _locate_in_study   reports a problem of this spec at the setting that causes it
 
 and then `_disagreements` looks for problems that concern several arms.
 """
@@ -26,7 +26,7 @@ from pydantic import Discriminator, Field, Tag
 from tetractl.core.errors import printable
 from tetractl.core.registries import SWEEPS
 from tetractl.run.store import BatchFolder, Store
-from tetractl.run.task import code_of
+from tetractl.run.task import code_hash
 from tetractl.spec.base import Model, Name, validated
 from tetractl.spec.experiment import Trials
 from tetractl.spec.load import as_text, is_study, load_document, without_lines
@@ -37,12 +37,12 @@ from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem, dott
 from tetractl.spec.yaml.settings import SpecSetting
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
-MAX_ARMS = 100_000
+ARMS_MAX = 100_000
 """Maximum number of arms of a study."""
-NAME_LENGTH = 100
+NAME_LENGTH_MAX = 100
 """Maximum length of the name of an arm's folder [characters], far below that of file systems."""
-SWEEP_KEY = (0,)
-"""Spawn key of a sweep's random draws; the keys of trials have two numbers."""
+SWEEP_SPAWN_KEY = (0,)
+"""Spawn key of a sweep's random numbers. The spawn keys of trials have two numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,22 +50,22 @@ class Arm:
     """One arm of a study: the spec of its trials, and its differences from the study's base spec.
 
     Attributes:
-        name: Name of the arm.
-        controller: Name of its controller.
+        name: Name of the arm and of its folder.
+        controller: Name of the arm's controller. Empty if the study names no controllers.
         values: Values of the swept fields, by path.
-        sets: Differences from the base, in the form of `--set`.
-        spec: The spec.
+        sets: Differences from the base spec, in the form of `--set`.
+        spec: The spec of the arm's trials.
         hash: SHA-256 of the experiment without the number of trials.
-        code: Digest of the code that the arm uses.
+        code_hash: Hash of the code that runs the arm's trials.
     """
 
-    name: str  # name of the arm's folder
-    controller: str  # "" if the study names none
+    name: str
+    controller: str
     values: Mapping[str, Any]
-    sets: tuple[str, ...]  # differences from the base, in the form of `--set`
+    sets: tuple[str, ...]
     spec: LoadedSpec
     hash: str
-    code: str  # hash of the code that runs its trials
+    code_hash: str
 
 
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
@@ -73,19 +73,21 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
 
     Fields are named by the last part of their paths, or all by their whole paths if two would have
     the same name. Characters that a file name may not have become `_`, and the name is cut after
-    `NAME_LENGTH` characters. An arm without controller and values is `base`.
+    `NAME_LENGTH_MAX` characters. An arm without controller and values is `base`.
     """
-    ends = [path.rpartition(".")[2] for path in values]
-    unique = len(set(ends)) == len(ends)
-    paths = ends if unique else list(values)
-    words = [controller] if controller else []
-    words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
-    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))
-    return name[:NAME_LENGTH].lstrip(".-") or "base"
+    last_parts = [path.rpartition(".")[2] for path in values]
+    are_unique = len(set(last_parts)) == len(last_parts)
+    paths = last_parts if are_unique else list(values)
+    name_parts = [controller] if controller else []
+    name_parts += [
+        f"{path}={format_value(value)}" for path, value in zip(paths, values.values(), strict=True)
+    ]
+    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(name_parts))
+    return name[:NAME_LENGTH_MAX].lstrip(".-") or "base"
 
 
-def shown(value: Any) -> str:
-    """Format a value for people.
+def format_value(value: Any) -> str:
+    """Format a value of a swept field for people.
 
     Floats get six significant digits, strings stay as they are, and a list of mappings is
     replaced by its length. Any other value is written as YAML in one line.
@@ -174,27 +176,31 @@ def load_study(
         InvalidSpecError: With one line for each problem.
     """
     if isinstance(source, Path):
-        return _loaded(read_document(source), source.parent, settings)
+        return _check_and_load(read_document(source), source.parent, settings)
     document = parse_document(as_text(source, "study"), "study")
     with without_lines():
-        return _loaded(document, Path(), settings)
+        return _check_and_load(document, Path(), settings)
 
 
-def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -> LoadedStudy:
-    """Check a study, and load its arms. `folder` is where the path of its base spec starts.
+def _check_and_load(
+    document: Document, folder: Path, settings: Sequence[SpecSetting]
+) -> LoadedStudy:
+    """Check a study, and load its arms.
+
+    The path of the base spec is relative to `folder`.
 
     Raises:
         InvalidSpecError: If the study, its base or an arm is invalid, or if arms disagree.
     """
-    study = _study(document)
-    arms = _arms(study, _base(study, document, folder), document, settings)
+    study = _check_study(document)
+    arms = _load_arms(study, _load_base(study, document, folder), document, settings)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
     if disagreements:
         raise InvalidSpecError(disagreements)
     return LoadedStudy(study, tuple(_with_unique_names(arms)))
 
 
-def _base(study: Study, document: Document, folder: Path) -> Document:
+def _load_base(study: Study, document: Document, folder: Path) -> Document:
     """Return the base spec of a study, which every arm changes.
 
     It comes from a file, or is part of the study.
@@ -206,24 +212,24 @@ def _base(study: Study, document: Document, folder: Path) -> Document:
         return parse_document(as_text(study.base, "base"), "base")
     path = folder / study.base
     if not path.exists():
-        text = f"there is no file {printable(str(path))}{near_files(path)}"
-        raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
+        message = f"there is no file {printable(str(path))}{near_files(path)}"
+        raise InvalidSpecError([document.problem_at(("base",), message, _base_file_name(study))])
     base = read_document(path)
     if is_study(base):
-        text = "is a study, but the base of a study must be a spec"
-        raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
+        message = "is a study, but the base of a study must be a spec"
+        raise InvalidSpecError([document.problem_at(("base",), message, _base_file_name(study))])
     return base
 
 
-def _named(study: Study) -> str | None:
-    """Return the file's name for problems with the whole base.
+def _base_file_name(study: Study) -> str | None:
+    """Return the name of the base spec's file, for problems with the whole base spec.
 
-    The result is None if the base is in the study.
+    The result is None if the study itself contains the base spec.
     """
     return None if isinstance(study.base, dict) else printable(Path(study.base).name)
 
 
-def _arms(
+def _load_arms(
     study: Study, base: Document, document: Document, settings: Sequence[SpecSetting]
 ) -> list[Arm]:
     """Return all arms of a study, one for each combination of its values.
@@ -237,18 +243,19 @@ def _arms(
     hint: str | None = None
     for controller, point in _combinations(study, document):
         try:
-            arms.append(_arm(base, study, controller, point, document, settings))
+            arms.append(_load_arm(base, study, controller, point, document, settings))
         except InvalidSpecError as error:
             problems |= dict.fromkeys(error.problems)
             in_base = any(problem.origin != document.origin for problem in error.problems)
             if hint is None and in_base and (point or study.controllers.get(controller)):
-                hint = f"in the arm {arm_name(controller, _values(point))} of {document.origin}"
+                name = arm_name(controller, _values_by_path(point))
+                hint = f"in the arm {name} of {document.origin}"
     if problems:
         raise InvalidSpecError(problems, hint)
     return arms
 
 
-def _study(document: Document) -> Study:
+def _check_study(document: Document) -> Study:
     """Check a document, and return the study that it describes.
 
     Raises:
@@ -267,34 +274,34 @@ def _combinations(study: Study, document: Document) -> Iterable[tuple[str, Mappi
     """Yield each controller's name with each point of the sweep, controller by controller.
 
     The name is "" if the study lists no controllers. An `InvalidSpecError` is raised if there
-    are more than MAX_ARMS combinations.
+    are more than ARMS_MAX combinations.
     """
-    points = _points(study)
+    points = _sweep_points(study)
     controllers = study.controllers or {"": {}}
-    count = len(points) * len(controllers)
-    if count > MAX_ARMS:
-        text = f"gives {count} arms, but a study can have at most {MAX_ARMS}"
-        raise InvalidSpecError([document.problem_at(("sweep",), text)])
+    arm_count = len(points) * len(controllers)
+    if arm_count > ARMS_MAX:
+        message = f"gives {arm_count} arms, but a study can have at most {ARMS_MAX}"
+        raise InvalidSpecError([document.problem_at(("sweep",), message)])
     return product(controllers, points)
 
 
-def _points(study: Study) -> list[Mapping[str, Setting]]:
+def _sweep_points(study: Study) -> list[Mapping[str, Setting]]:
     """Return the points of the sweep, generated with the study's seed.
 
     Without a sweep, there is one point that sets nothing.
     """
     if study.sweep is None:
         return [{}]
-    seeds = np.random.SeedSequence(study.trials.seed, spawn_key=SWEEP_KEY)
+    seeds = np.random.SeedSequence(study.trials.seed, spawn_key=SWEEP_SPAWN_KEY)
     return study.sweep.draw(np.random.default_rng(seeds))
 
 
-def _values(point: Mapping[str, Setting]) -> dict[str, Any]:
+def _values_by_path(point: Mapping[str, Setting]) -> dict[str, Any]:
     """Return the values of the swept fields at a point of the sweep, keyed by path."""
     return {path: setting.value for path, setting in point.items()}
 
 
-def _arm(
+def _load_arm(
     base: Document,
     study: Study,
     controller: str,
@@ -308,42 +315,48 @@ def _arm(
         InvalidSpecError: With locations in the study, if its settings are invalid.
     """
     fields = study.controllers.get(controller, {})
-    placed = [(path, value, ("controllers", controller, path)) for path, value in fields.items()]
-    placed += [(path, setting.value, ("sweep", *setting.loc)) for path, setting in point.items()]
-    sets: list[str] = []
+    located_values = [
+        (path, value, ("controllers", controller, path)) for path, value in fields.items()
+    ]
+    located_values += [
+        (path, setting.value, ("sweep", *setting.loc)) for path, setting in point.items()
+    ]
+    settings_texts: list[str] = []
     locations: dict[str, Loc] = {}  # of the settings in the study, by the origin a problem names
-    for path, value, loc in placed:
+    for path, value, loc in located_values:
         if path.split(".")[0] == "trials":
-            text = "cannot be swept; set count and seed in the study's 'trials:'"
-            raise InvalidSpecError([document.problem_at(loc, text)])
-        sets.append(f"{path}={as_yaml(value)}")
-        locations[f"--set {printable(sets[-1], 200)}"] = loc
-    trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
+            message = "cannot be swept; set count and seed in the study's 'trials:'"
+            raise InvalidSpecError([document.problem_at(loc, message)])
+        settings_texts.append(f"{path}={as_yaml(value)}")
+        locations[f"--set {printable(settings_texts[-1], 200)}"] = loc
+    trials_settings = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
         # contents have no lines that a problem could name
         with without_lines() if isinstance(study.base, dict) else nullcontext():
-            spec = load_document(base, (*sets, *trials, *settings))
+            spec = load_document(base, (*settings_texts, *trials_settings, *settings))
     except InvalidSpecError as error:
-        problems = [_placed(problem, locations, document) for problem in error.problems]
+        problems = [_locate_in_study(problem, locations, document) for problem in error.problems]
         raise InvalidSpecError(problems) from None
     if not spec.experiment.plant.simulated:
-        text = (
+        message = (
             "runs in a lab, but a study can only simulate: name a spec whose plant has 'type: sim'"
         )
-        raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
-    values = _values(point)
+        raise InvalidSpecError([document.problem_at(("base",), message, _base_file_name(study))])
+    values = _values_by_path(point)
     return Arm(
         name=arm_name(controller, values),
         controller=controller,
         values=values,
-        sets=tuple(sets),
+        sets=tuple(settings_texts),
         spec=spec,
         hash=arm_hash(spec.experiment),
-        code=code_of(spec.experiment),
+        code_hash=code_hash(spec.experiment),
     )
 
 
-def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:
+def _locate_in_study(
+    problem: SpecProblem, locations: Mapping[str, Loc], document: Document
+) -> SpecProblem:
     """Locate a problem of an arm's spec in the study, if a setting of the study causes it.
 
     `locations` are the locations of the settings, by the origin that a problem names.
@@ -353,10 +366,10 @@ def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Docume
         return problem
     in_list = isinstance(loc[-1], int)
     path = str(loc[-2] if in_list else loc[-1])
-    text = problem.message
+    message = problem.message
     if problem.field not in ("", path):
-        text = f"{problem.field}: {text}"
-    located = document.problem_at(loc, text, problem.value)
+        message = f"{problem.field}: {message}"
+    located = document.problem_at(loc, message, problem.value)
     return replace(located, field=dotted(loc))
 
 
@@ -364,17 +377,17 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
     """Yield a problem if the length units of arms differ, and one for each repeated arm."""
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
-        text = f"has arms in {' and '.join(units)}, but all arms must have the same length unit"
-        yield document.problem_at(("sweep",), text)
-    arm_of: dict[tuple[str, str], Arm] = {}
+        message = f"has arms in {' and '.join(units)}, but all arms must have the same length unit"
+        yield document.problem_at(("sweep",), message)
+    arm_by_key: dict[tuple[str, str], Arm] = {}
     for arm in arms:
-        twin = arm_of.setdefault((arm.controller, arm.hash), arm)
-        if twin is not arm:
-            text = (
-                f"gives the arm {arm.name} twice, the second time as {twin.name}; remove "
+        earlier = arm_by_key.setdefault((arm.controller, arm.hash), arm)
+        if earlier is not arm:
+            message = (
+                f"gives the arm {arm.name} twice, the second time as {earlier.name}; remove "
                 "one of them"
             )
-            yield document.problem_at(("sweep",), text)
+            yield document.problem_at(("sweep",), message)
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
@@ -383,7 +396,7 @@ def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
     The first eight digits of an arm's hash are added to each name that several arms share.
     Upper and lower case count as the same.
     """
-    names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
+    name_counts = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
-        several = names[arm.name.lower()] > 1
-        yield replace(arm, name=f"{arm.name}-{arm.hash[:8]}") if several else arm
+        is_shared = name_counts[arm.name.lower()] > 1
+        yield replace(arm, name=f"{arm.name}-{arm.hash[:8]}") if is_shared else arm

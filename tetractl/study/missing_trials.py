@@ -14,34 +14,36 @@ from tetractl.study.load_study import LoadedStudy
 from tetractl.tools.table.table import Table
 
 
-def lacking(
+def unfinished_tasks(
     loaded: LoadedStudy, store: Store, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
-    """Create the tasks for the trials of a study that are not finished.
+    """Create the tasks for the unfinished trials of a study.
 
     A trial is outdated if another version of the code has run it. Tasks are ordered by trial
     number, so that all arms have about equally many trials if the run ends early.
 
     Args:
         loaded: The study.
-        store: Its folder.
+        store: The folder of the study.
         rerun_outdated: Whether to run outdated trials again.
 
     Returns:
         The tasks, and the number of outdated trials that are kept in each arm.
     """
-    count = loaded.study.trials.count
+    trial_count = loaded.study.trials.count
     tasks: list[Task] = []
     outdated: dict[str, int] = {}
     for arm in loaded.arms:
         spec = pickle.dumps(arm.spec)
         batch = store.batches[arm.name]
-        numbers = list(batch.lacking)
+        trials = list(batch.unfinished)
         if rerun_outdated:
-            numbers += batch.outdated
+            trials += batch.outdated
         elif batch.outdated:
             outdated[arm.name] = len(batch.outdated)
-        tasks += [Task(number, count, spec, arm.name, arm.code) for number in sorted(numbers)]
+        tasks += [
+            Task(number, trial_count, spec, arm.name, arm.code_hash) for number in sorted(trials)
+        ]
     return sorted(tasks, key=lambda task: task.trial), outdated
 
 
@@ -56,11 +58,11 @@ def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
 
 
 def dry_run(loaded: LoadedStudy, folder: Path, tasks: Sequence[Task]) -> Table:
-    """Return a table of the arms: their differences from the base, and how many trials to run.
+    """Create a table of the arms: their differences from the base, and how many trials to run.
 
     Args:
         loaded: The study.
-        folder: Its folder.
+        folder: The folder of the study.
         tasks: The trials to run.
     """
     to_run = Counter(task.arm for task in tasks)

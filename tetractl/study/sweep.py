@@ -38,9 +38,10 @@ class Sweep(Model):
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points, each a mapping of paths to settings.
+        """Return the points of the sweep, each a mapping of field paths to settings.
 
-        Random sweeps use `rng`, which has the study's seed.
+        Args:
+            rng: Random numbers with the study's seed. Only random sweeps use them.
         """
 
 
@@ -118,12 +119,12 @@ class Range(Model):
         """
         if self.whole:
             # as many values round down to the highest number as to any other
-            value = self._between(self.low, self.high + 1, fraction)
+            value = self._interpolate(self.low, self.high + 1, fraction)
             return math.floor(min(max(value, self.low), self.high + 0.5))
-        value = self._between(self.low, self.high, fraction)
+        value = self._interpolate(self.low, self.high, fraction)
         return min(max(value, self.low), self.high)
 
-    def _between(self, low: float, high: float, fraction: float) -> float:
+    def _interpolate(self, low: float, high: float, fraction: float) -> float:
         """Interpolate between two values of a field; rounding may exceed them slightly."""
         if self.scale == "log":
             log_low = math.log(low)
@@ -148,13 +149,13 @@ class SampledSweep(Sweep):
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
         """Return `count` random combinations of values from the ranges of the fields."""
-        return [self._point(shares) for shares in self.shares(rng).tolist()]
+        return [self._point(fractions) for fractions in self.shares(rng).tolist()]
 
-    def _point(self, shares: Sequence[float]) -> Mapping[str, Setting]:
+    def _point(self, fractions: Sequence[float]) -> Mapping[str, Setting]:
         """Return the settings at one point, given as a fraction of each field's range."""
         settings: dict[str, Setting] = {}
-        for (path, range_), share in zip(self.fields.items(), shares, strict=True):
-            settings[path] = Setting(range_.at(share), ("fields", path))
+        for (path, range_), fraction in zip(self.fields.items(), fractions, strict=True):
+            settings[path] = Setting(range_.at(fraction), ("fields", path))
         return settings
 
 

@@ -28,8 +28,8 @@ class Difference:
         return replace(self, step=step)
 
     def __str__(self) -> str:
-        where = "trial" if self.step is None else f"step {self.step}"
-        return f"{where}: {self.field}: {self.message}"
+        location = "trial" if self.step is None else f"step {self.step}"
+        return f"{location}: {self.field}: {self.message}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,89 +42,103 @@ class Unchecked(Difference):
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How much two numbers may differ: |ours - logged| <= relative * larger + absolute.
+    """A tolerance for numbers: |computed - logged| <= relative * larger + absolute.
 
-    `larger` is the larger of their magnitudes. With both tolerances 0, the two numbers must have
-    the same bits, or both be NaN. Integers, texts and truth values must always be equal.
+    `larger` is the larger of the two magnitudes. If both tolerances are 0, the two numbers must
+    have the same bits, or both be NaN. Integers, strings and booleans must always be equal.
+
+    Attributes:
+        relative: Relative tolerance.
+        absolute: Absolute tolerance, in the unit of the numbers.
     """
 
     relative: float = 0.0
     absolute: float = 0.0
 
-    def differs(self, ours: NDArray[Any], logged: NDArray[Any]) -> NDArray[np.bool_]:
+    def differs(self, computed: NDArray[Any], logged: NDArray[Any]) -> NDArray[np.bool_]:
         """Find the elements in which two arrays of the same shape differ, as a mask of this shape.
 
         NaN equals NaN, and infinity only equals itself. If both tolerances are 0, all bits must be
         equal. Arrays that are not of 64-bit floats must be equal.
         """
-        if ours.dtype != np.float64 or logged.dtype != np.float64:
-            return np.asarray(ours != logged)
-        both_nan = np.isnan(ours) & np.isnan(logged)
+        if computed.dtype != np.float64 or logged.dtype != np.float64:
+            return np.asarray(computed != logged)
+        both_nan = np.isnan(computed) & np.isnan(logged)
         if not self.relative and not self.absolute:
-            bits = np.ascontiguousarray(ours).view(np.uint64)
+            computed_bits = np.ascontiguousarray(computed).view(np.uint64)
             logged_bits = np.ascontiguousarray(logged).view(np.uint64)
-            return (bits != logged_bits).reshape(ours.shape) & ~both_nan
+            return (computed_bits != logged_bits).reshape(computed.shape) & ~both_nan
         with np.errstate(invalid="ignore"):  # inf - inf is NaN
-            larger = np.maximum(np.abs(ours), np.abs(logged))
-            near = np.abs(ours - logged) <= self.relative * larger + self.absolute
-            near &= np.isfinite(larger)  # infinity is not near a number
-        return ~(near | (ours == logged) | both_nan)
+            larger = np.maximum(np.abs(computed), np.abs(logged))
+            is_near = np.abs(computed - logged) <= self.relative * larger + self.absolute
+            is_near &= np.isfinite(larger)  # infinity is not near a number
+        return ~(is_near | (computed == logged) | both_nan)
 
 
 SAME_BITS = Tolerance()
+"""The tolerance of a comparison in which all bits must agree."""
 
 
 def first_difference(
-    ours: Any, logged: Any, tolerance: Tolerance = SAME_BITS, name: str = ""
+    computed: Any, logged: Any, tolerance: Tolerance = SAME_BITS, name: str = ""
 ) -> Difference | None:
-    """Return the first difference between two records.
-
-    The result is None if they agree.
+    """Find the first difference between a computed record and a logged record.
 
     A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value.
 
     Args:
-        ours: The record that was computed.
+        computed: The record that was computed.
         logged: The record from the log.
         tolerance: How far numbers may differ.
-        name: Put in front of the field's path, such as "searches.1.history.3".
+        name: Prefix of the path of the field that differs, such as "searches.1".
+
+    Returns:
+        The difference. None if the records agree.
     """
-    return next(_differences(ours, logged, tolerance, name), None)
+    return next(_differences(computed, logged, tolerance, name), None)
 
 
-def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Iterator[Difference]:
-    """Yield the differences of two records: of their types, then of each part.
+def _differences(
+    computed: Any, logged: Any, tolerance: Tolerance, name: str
+) -> Iterator[Difference]:
+    """Yield the differences between two records: first of their types, then of each part.
 
     A missing part counts as None, because a log does not distinguish the two.
     """
-    if ours is logged:
+    if computed is logged:
         return
     if logged is None:
         yield Difference(None, name, "the log has no value here, but one was computed")
         return
-    if ours is None:
+    if computed is None:
         yield Difference(None, name, "the log has a value here, but none was computed")
         return
-    our_parts = _parts(ours)
-    if our_parts is None:
-        yield from _value_difference(ours, logged, tolerance, name)
+    computed_parts = _parts_by_key(computed)
+    if computed_parts is None:
+        yield from _value_difference(computed, logged, tolerance, name)
         return
-    logged_parts = _parts(logged)
-    other_class = is_dataclass(ours) and type(ours) is not type(logged)
-    if logged_parts is None or other_class:
-        yield Difference(None, name, f"logged {_kind(logged)}, computed {_kind(ours)}")
-        return
-    if isinstance(ours, Sequence) and len(our_parts) != len(logged_parts):
+    logged_parts = _parts_by_key(logged)
+    is_other_class = is_dataclass(computed) and type(computed) is not type(logged)
+    if logged_parts is None or is_other_class:
         yield Difference(
-            None, name, f"logged {len(logged_parts)} items, computed {len(our_parts)} items"
+            None,
+            name,
+            f"logged {_class_with_article(logged)}, computed {_class_with_article(computed)}",
         )
-    only_logged = [key for key in logged_parts if key not in our_parts]
-    for key in (*our_parts, *only_logged):
-        part_name = _path(name, key)
-        yield from _differences(our_parts.get(key), logged_parts.get(key), tolerance, part_name)
+        return
+    if isinstance(computed, Sequence) and len(computed_parts) != len(logged_parts):
+        yield Difference(
+            None, name, f"logged {len(logged_parts)} items, computed {len(computed_parts)} items"
+        )
+    only_logged = [key for key in logged_parts if key not in computed_parts]
+    for key in (*computed_parts, *only_logged):
+        part_name = _join_path(name, key)
+        yield from _differences(
+            computed_parts.get(key), logged_parts.get(key), tolerance, part_name
+        )
 
 
-def _parts(record: Any) -> Mapping[Any, Any] | None:
+def _parts_by_key(record: Any) -> Mapping[Any, Any] | None:
     """Return the parts of a record that count in a comparison, keyed by name or index.
 
     Fields of a message that are not set are left out. The result is None for a single value or an
@@ -142,7 +156,7 @@ def _parts(record: Any) -> Mapping[Any, Any] | None:
     return None
 
 
-def _kind(record: Any) -> str:
+def _class_with_article(record: Any) -> str:
     """Return the name of a record's class with its article, such as "a Plan"."""
     name = type(record).__name__
     article = "an" if name[0] in "AEIOUaeiou" else "a"
@@ -150,39 +164,41 @@ def _kind(record: Any) -> str:
 
 
 def _value_difference(
-    ours: Any, logged: Any, tolerance: Tolerance, name: str
+    computed: Any, logged: Any, tolerance: Tolerance, name: str
 ) -> Iterator[Difference]:
-    """Yield the difference of two arrays, numbers, texts or other single values. Nothing if equal.
+    """Yield the difference between two single values or arrays, unless they are equal.
 
     The tolerance applies to arrays and floats. All other values must be equal.
     """
-    if isinstance(ours, np.ndarray) != isinstance(logged, np.ndarray):
-        kinds = f"logged {type(logged).__name__}, computed {type(ours).__name__}"
-        yield Difference(None, name, kinds)
-    elif isinstance(ours, np.ndarray):
-        yield from _array_difference(ours, logged, tolerance, name)
-    elif isinstance(ours, float) and isinstance(logged, float | int):
+    if isinstance(computed, np.ndarray) != isinstance(logged, np.ndarray):
+        message = f"logged {type(logged).__name__}, computed {type(computed).__name__}"
+        yield Difference(None, name, message)
+    elif isinstance(computed, np.ndarray):
+        yield from _array_difference(computed, logged, tolerance, name)
+    elif isinstance(computed, float) and isinstance(logged, float | int):
         number = np.array(float(logged))
-        yield from _array_difference(np.array(ours), number, tolerance, name)
-    elif ours != logged:
-        yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
+        yield from _array_difference(np.array(computed), number, tolerance, name)
+    elif computed != logged:
+        yield Difference(None, name, f"logged {logged!r}, computed {computed!r}")
 
 
 def _array_difference(
-    ours: NDArray[Any], logged: NDArray[Any], tolerance: Tolerance, name: str
+    computed: NDArray[Any], logged: NDArray[Any], tolerance: Tolerance, name: str
 ) -> Iterator[Difference]:
-    if ours.shape != logged.shape:
-        yield Difference(None, name, f"logged shape {logged.shape}, computed {ours.shape}")
+    if computed.shape != logged.shape:
+        yield Difference(None, name, f"logged shape {logged.shape}, computed {computed.shape}")
         return
-    wrong = tolerance.differs(ours, logged)
-    if wrong.any():
-        first = tuple(int(i) for i in np.argwhere(wrong)[0])
+    is_different = tolerance.differs(computed, logged)
+    if is_different.any():
+        first_index = tuple(int(i) for i in np.argwhere(is_different)[0])
         path = name
-        for index in first:
-            path = _path(path, index)
-        message = f"logged {logged[first].item()!r}, computed {ours[first].item()!r}"
+        for index in first_index:
+            path = _join_path(path, index)
+        message = (
+            f"logged {logged[first_index].item()!r}, computed {computed[first_index].item()!r}"
+        )
         yield Difference(None, path, message)
 
 
-def _path(name: str, part: object) -> str:
-    return f"{name}.{part}" if name else str(part)
+def _join_path(name: str, key: object) -> str:
+    return f"{name}.{key}" if name else str(key)

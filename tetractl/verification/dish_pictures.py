@@ -10,11 +10,11 @@ from PIL import Image
 from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
-SHOWN_SIDE = 720
-"""Maximum length of the longer side of an image as shown [px]."""
-PICTURES_MAX = 120
+SHOWN_SIDE_MAX_PX = 720
+"""Maximum length of the longer side of an image that is displayed [px]."""
+REPORT_IMAGES_MAX = 120
 """Maximum number of images per trial in a report."""
-LOGGED_SIDE_MAX = 8192
+LOGGED_SIDE_MAX_PX = 8192
 """Maximum length of the longer side of an image in a log that is read [px]."""
 JPEG_QUALITY = 60
 """JPEG quality of the images in a report, from 1 to 100."""
@@ -25,8 +25,8 @@ class DishPictures:
 
     Args:
         log: The trial's log.
-        count_max: Maximum number of images, which are then spread over the trial. By default, all
-            images are read.
+        count_max: Maximum number of images, which are spread over the trial. By default, all images
+            are read.
 
     Attributes:
         times_ns: When the images were taken, on the trial's clock [ns].
@@ -47,15 +47,15 @@ class DishPictures:
                 continue
             grey, size_px = reduced
             if camera is not None and not self._greys:
-                width_um, height_um = (side * camera.um_px for side in size_px)
-                ends = ((0.0, 0.0), (width_um, 0.0), (0.0, height_um))
+                width_um, height_um = (length_px * camera.um_px for length_px in size_px)
+                corners_um = ((0.0, 0.0), (width_um, 0.0), (0.0, height_um))
                 metres = log.start.setup.metres
-                self.corners = np.array([camera.placed(x, y, metres) for x, y in ends])
+                self.corners = np.array([camera.placed(x, y, metres) for x, y in corners_um])
             self.times_ns.append(time_ns)
             self._greys.append(grey)
 
     def index_at(self, when_ns: int) -> int | None:
-        """Find the last image that was taken up to a time [ns].
+        """Find the newest image that was taken no later than `when_ns` [ns].
 
         Returns:
             The index of the image, or 0 for a time before the first image. None without images.
@@ -74,7 +74,7 @@ class DishPictures:
 
 
 def _decode_reduced(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
-    """Decode a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side.
+    """Decode a JPEG in grey levels, reduced to at most SHOWN_SIDE_MAX_PX pixels per side.
 
     Returns:
         The image, and its original width and height [px]. None if it cannot be read.
@@ -82,11 +82,11 @@ def _decode_reduced(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])
         size_px = picture.size
-        if max(size_px) > LOGGED_SIDE_MAX:
+        if max(size_px) > LOGGED_SIDE_MAX_PX:
             return None
-        picture.draft("L", (SHOWN_SIDE, SHOWN_SIDE))
+        picture.draft("L", (SHOWN_SIDE_MAX_PX, SHOWN_SIDE_MAX_PX))
         grey = picture.convert("L")
-        grey.thumbnail((SHOWN_SIDE, SHOWN_SIDE))
+        grey.thumbnail((SHOWN_SIDE_MAX_PX, SHOWN_SIDE_MAX_PX))
         return grey, size_px
     except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None

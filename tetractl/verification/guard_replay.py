@@ -23,10 +23,10 @@ from tetractl.spec.lab_section import LabLimits, LabSection
 
 TICK_NS = SECOND // 100
 """Time between two decisions of the guard if nothing else happens, as in the inner loop [ns]."""
-KERNEL_CHECKS = ("frame", "direction", "tracking", "speed", "arena", "obstacle", "separation")
-"""Checks of every log, in the order of a table."""
+COMMON_CHECKS = ("frame", "direction", "tracking", "speed", "arena", "obstacle", "separation")
+"""Names of the checks that apply to every log, in the order of the table."""
 WHEEL_CHECKS = ("frozen", "motion", "drift", "wheels")
-"""Checks that compare poses with logged wheel speeds."""
+"""Names of the checks that compare poses with logged wheel speeds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class GuardReport:
     """The actions that a guard would have taken in a recorded trial.
 
     Attributes:
-        interventions: All actions that it would have taken, the oldest first.
+        interventions: All actions that the guard would have taken, the oldest first.
         watched_s: Time in which robots were driven [s].
         checks: Names of the checks that could find something in this log.
         began_ns: The time that users see as 0 [ns].
@@ -48,9 +48,14 @@ class GuardReport:
 
 @dataclass(frozen=True, slots=True, order=True)
 class LogEvent:
-    """A frame or a command of a log, in the order of the inner loop.
+    """A frame or a command of a log, which sorts in the order of the inner loop.
 
     If a frame and a command have the same time, the frame comes first.
+
+    Attributes:
+        t_ns: Time at which the frame was received or the command was sent [ns].
+        is_command: Whether the event is a command. Otherwise, it is a frame.
+        row: Index of the frame or of the command in the log.
     """
 
     t_ns: int
@@ -58,7 +63,7 @@ class LogEvent:
     row: int
 
 
-def events_of(log: TrialLog) -> list[LogEvent]:
+def ordered_events(log: TrialLog) -> list[LogEvent]:
     """List the frames and commands of a log in the order in which they reached the guard.
 
     If a frame and a command have the same time, the frame comes first.
@@ -74,13 +79,17 @@ def camera_frame(log: TrialLog, row: int) -> CameraFrame:
         Pose(*pose) if valid else None
         for pose, valid in zip(log.mocap[row].tolist(), log.valid[row], strict=True)
     )
-    seen = log.sample(row).observation
+    observation = log.sample(row).observation
     return CameraFrame(
-        seen.frame, seen.sampled_ns, seen.received_ns, poses, exposed_ns=seen.exposed_ns
+        observation.frame,
+        observation.sampled_ns,
+        observation.received_ns,
+        poses,
+        exposed_ns=observation.exposed_ns,
     )
 
 
-def checks_of_lab(experiment: Experiment) -> ChecksOf:
+def lab_checks(experiment: Experiment) -> ChecksOf:
     """Return the checks that the guard makes in a spec's lab.
 
     If the spec has no lab, these are the checks for robots on wheels.
@@ -94,23 +103,26 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
 
     Args:
         log: A trial of a lab, an emulated lab, or a simulation.
-        limits: Limits to try. By default, those of the spec's lab; without a lab, the defaults.
+        limits: Limits to try. By default, the limits of the spec's lab, or the default limits if
+            the spec has no lab.
 
     Returns:
         The guard's interventions, and the time for which it watched.
     """
-    rules = GuardRules.of(log.start.setup, limits or limits_of(log))
-    observer = GuardObserver(rules, checks_of_lab(log.experiment))
-    steps = {step.command.sent_ns: step.deadline_missed for step in log.steps}
+    rules = GuardRules.of(log.start.setup, limits or lab_limits(log))
+    observer = GuardObserver(rules, lab_checks(log.experiment))
+    deadline_missed_by_time = {step.command.sent_ns: step.deadline_missed for step in log.steps}
     ticked_ns = 0
-    for event in events_of(log):
+    for event in ordered_events(log):
         for tick_ns in _ticks(ticked_ns, event.t_ns):
             observer.decide(tick_ns)
         ticked_ns = event.t_ns
         if event.is_command:
             command = log.commands[event.row]
-            if not steps or command.sent_ns in steps:
-                observer.record_step(event.t_ns, steps.get(command.sent_ns, False))
+            if not deadline_missed_by_time or command.sent_ns in deadline_missed_by_time:
+                observer.record_step(
+                    event.t_ns, deadline_missed_by_time.get(command.sent_ns, False)
+                )
                 _note_action(observer, command)
             elif isinstance(command.action, Stop):
                 observer.end_run()
@@ -119,13 +131,13 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
             observer.check_frame(event.t_ns, camera_frame(log, event.row))
         observer.decide(event.t_ns)
     knows_speeds = any(command.left is not None for command in log.commands)
-    checks = KERNEL_CHECKS + (WHEEL_CHECKS if knows_speeds else ())
+    checks = COMMON_CHECKS + (WHEEL_CHECKS if knows_speeds else ())
     watched_s = observer.watched_ns / SECOND
     return GuardReport(tuple(observer.interventions), watched_s, checks, log.began_ns)
 
 
-def limits_of(log: TrialLog) -> LabLimits:
-    """Return the limits of a log's lab, or the defaults if it has none."""
+def lab_limits(log: TrialLog) -> LabLimits:
+    """Return the limits of a log's lab, or the default limits if the spec has no lab."""
     plant = log.experiment.plant
     return plant.limits if isinstance(plant, LabSection) else LabLimits()
 
@@ -159,7 +171,7 @@ def note_speeds(guard: Guard | GuardObserver, log: TrialLog, command: Command) -
         log: The command's trial.
         command: The command.
     """
-    radius = log.start.setup.wheel_radius
-    if radius is not None and command.left is not None and command.right is not None:
-        speed, turning = body_velocity(command.left, command.right, radius)
+    wheel_radius = log.start.setup.wheel_radius
+    if wheel_radius is not None and command.left is not None and command.right is not None:
+        speed, turning = body_velocity(command.left, command.right, wheel_radius)
         guard.note_transmission(command.sent_ns, speed.tolist(), turning.tolist())

@@ -15,8 +15,12 @@ NOT_COMPARED = {*channels.HOST_RECORDS, channels.DIGESTS, channels.RECOVERED}
 """Names of records that differ, or are missing, when a trial is run again."""
 
 
-def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
-    """Compare the log of a trial with the log of the same trial run again.
+def log_differences(repeated: RawLog, log: RawLog) -> Iterator[Difference]:
+    """Compare the log of a trial with the log of the same trial when it was run again.
+
+    Args:
+        repeated: The log of the trial when it was run again.
+        log: The log to verify.
 
     Yields:
         The first difference in each channel and attachment; differences in control steps come
@@ -24,10 +28,10 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
         them.
     """
     topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED]
-    names = again.attachments.keys() - NOT_COMPARED
+    names = repeated.attachments.keys() - NOT_COMPARED
     differences: list[Difference] = []
     for topic in topics:
-        difference = _topic_difference(again, log, topic)
+        difference = _topic_difference(repeated, log, topic)
         if difference is not None:
             differences.append(difference)
     yield from sorted(differences, key=lambda difference: difference.step is None)
@@ -35,53 +39,52 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
         logged = log.attachments.get(name)
         if logged is None:
             yield Difference(None, name, "missing")
-        elif logged.data != again.attachments[name].data:
+        elif logged.data != repeated.attachments[name].data:
             yield Difference(None, name, "differs from the experiment's")
 
 
-def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | None:
-    """Return the first difference between the messages of a topic.
+def _topic_difference(repeated: RawLog, log: RawLog, topic: str) -> Difference | None:
+    """Find the first difference between the messages of a topic in two logs.
 
-    The result is None if all are equal.
-
-    A message that only one of the logs contains is a difference.
+    A message that only one of the logs contains is a difference. The result is None if all messages
+    are equal.
     """
-    pairs = zip_longest(again.by_topic[topic], log.by_topic[topic])
-    for number, (ours, logged) in enumerate(pairs):
-        if ours != logged:
-            return _entry_difference(ours, logged, topic, number)
+    entry_pairs = zip_longest(repeated.entries_by_topic[topic], log.entries_by_topic[topic])
+    for number, (computed, logged) in enumerate(entry_pairs):
+        if computed != logged:
+            return _entry_difference(computed, logged, topic, number)
     return None
 
 
 def _entry_difference(
-    ours: Entry | None, logged: Entry | None, topic: str, number: int
+    computed: Entry | None, logged: Entry | None, topic: str, number: int
 ) -> Difference:
     """Describe how a message of the repeated trial differs from the message in the log.
 
     Args:
-        ours: The message of the trial run again; None if it has none of this number.
-        logged: The message in the log; None if it has none of this number.
-        topic: Topic of both.
-        number: Which message of its topic they are, from 0.
+        computed: The message of the repeated trial. None if that trial has fewer messages.
+        logged: The message in the log. None if the log has fewer messages.
+        topic: Topic of both messages.
+        number: Index of the message within its topic, from 0.
     """
     name = f"{topic}[{number}]"
     if logged is None:
         return Difference(None, name, "missing")
-    if ours is None:
+    if computed is None:
         return Difference(None, name, "does not belong to this trial")
-    times = (ours.log_ns, ours.publish_ns)
+    computed_times = (computed.log_ns, computed.publish_ns)
     logged_times = (logged.log_ns, logged.publish_ns)
-    if logged_times != times:
-        return Difference(None, name, f"has the times {logged_times} instead of {times}")
-    message = CHANNELS[topic]
+    if logged_times != computed_times:
+        return Difference(None, name, f"has the times {logged_times} instead of {computed_times}")
+    message_class = CHANNELS[topic]
     try:
-        our_message = message.FromString(ours.data)
-        logged_message = message.FromString(logged.data)
+        computed_message = message_class.FromString(computed.data)
+        logged_message = message_class.FromString(logged.data)
     except DecodeError:
         return Difference(None, name, "is not a valid message of its channel")
-    step = our_message.k if isinstance(our_message, ControllerStep) else None
-    where = name if step is None else ""
-    difference = first_difference(our_message, logged_message, name=where)
+    step = computed_message.k if isinstance(computed_message, ControllerStep) else None
+    location = name if step is None else ""
+    difference = first_difference(computed_message, logged_message, name=location)
     if difference is None:
         difference = Difference(None, name, "has other bytes")
     return difference.in_step(step)

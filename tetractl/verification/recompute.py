@@ -5,8 +5,8 @@ frames, and compares. `StepSearches.search` answers the controller's searches in
 *Re-computed*: every search is run again and must give the same bits, as it does on the machine and
 with the versions that wrote the log. *Re-evaluated*: the searches' results are read from the log;
 their J, the choice among them and the predicted path are computed again, and must agree within
-TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a difference in the last
-bit of one cost may change the leading particle and then the whole search.
+RELATIVE_TOLERANCE and ABSOLUTE_TOLERANCE. Searches cannot be repeated on another processor: a
+difference in the last bit of one cost may change the leading particle and then the whole search.
 """
 
 import copy
@@ -36,7 +36,7 @@ from tetractl.core.plan import (
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Step
-from tetractl.log.read.limits import FACTOR, seconds_limit
+from tetractl.log.read.limits import FACTOR_VARIABLE, seconds_limit
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import trial_seeds
@@ -52,9 +52,9 @@ from tetractl.verification.comparison import (
     first_difference,
 )
 
-TOLERANCE = 1e-9
+RELATIVE_TOLERANCE = 1e-9
 """Relative tolerance of re-evaluation."""
-ROUNDING = 1e-12
+ABSOLUTE_TOLERANCE = 1e-12
 """Additional tolerance relative to the largest coordinate.
 
 A cost near 0 is a small difference of much larger coordinates.
@@ -71,18 +71,18 @@ class Recomputed:
     """The result of repeating the decisions of a log: how many of them agree.
 
     Attributes:
-        agreeing: Number of steps before the first difference.
+        agreeing_steps: Number of steps before the first difference.
         difference: The first difference. None if all agree.
     """
 
-    agreeing: int
+    agreeing_steps: int
     difference: Difference | None
 
 
 def recompute(
-    log: TrialLog, search_again: bool, cpu: Callable[[], float] = computing_s
+    log: TrialLog, search_again: bool, read_cpu_s: Callable[[], float] = computing_s
 ) -> Recomputed:
-    """Compute every decision of a log again, up to the first that differs.
+    """Compute every decision of a log again, up to the first decision that differs.
 
     Steps after a gap are not checked, because the controller's state is lost. If the processor time
     exceeds its limit, the difference is an `Unchecked`. Compiling does not count.
@@ -91,30 +91,30 @@ def recompute(
         log: The log.
         search_again: Whether to run the searches again and compare bits. If False, the logged
             searches are used.
-        cpu: Returns the processor time [s].
+        read_cpu_s: Returns the processor time [s].
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
-        text = f"with the seed {log.start.seed}, there is no trial {log.start.trial}"
-        return Recomputed(0, Difference(None, "seed", text))
-    searches = StepSearches(search_again, cpu)
+        message = f"with the seed {log.start.seed}, there is no trial {log.start.trial}"
+        return Recomputed(0, Difference(None, "seed", message))
+    searches = StepSearches(search_again, read_cpu_s)
     controller = searches.controller(log, key)
     setup = log.start.setup
     tolerance = SAME_BITS
     if not search_again:
-        tolerance = _tolerance(setup.starts.xy, setup.targets)
-    steps = first_steps(log)
-    last: Step | None = None
+        tolerance = _evaluation_tolerance(setup.starts.xy, setup.targets)
+    steps = steps_before_gap(log)
+    previous: Step | None = None
     for number, step in enumerate(steps):
-        difference = _step_difference(controller, searches, tolerance, log, last, step)
+        difference = _step_difference(controller, searches, tolerance, log, previous, step)
         if difference is not None:
             return Recomputed(number, difference)
-        last = step
+        previous = step
     if len(steps) < len(log.steps):
         return Recomputed(len(steps), None)
-    searches.begin(())
-    return Recomputed(len(steps), _outcome_difference(log, controller, last))
+    searches.start_step(())
+    return Recomputed(len(steps), _outcome_difference(log, controller, previous))
 
 
 def _step_difference(
@@ -122,23 +122,34 @@ def _step_difference(
     searches: "StepSearches",
     tolerance: Tolerance,
     log: TrialLog,
-    last: Step | None,
+    previous: Step | None,
     step: Step,
 ) -> Difference | None:
     """Repeat the decision of a step, and return the first difference from the logged decision.
 
-    The step follows `last`. The result is None if there is no difference.
+    Args:
+        controller: The rebuilt controller.
+        searches: Answers the controller's searches.
+        tolerance: How far numbers may differ.
+        log: The log.
+        previous: The step before. None for the first step.
+        step: The step whose decision is repeated.
+
+    Returns:
+        The difference. None if the decisions agree.
     """
-    searches.begin(step.plan.searches)
+    searches.start_step(step.plan.searches)
     try:
-        decision = plan_again(controller, log, last, step.observation)
+        decision = plan_again(controller, log, previous, step.observation)
         searches.require_time()
     except (TooLongError, MemoryError):
-        text = (
+        message = (
             f"the rest was not computed again, because it takes over {seconds_limit():g} "
             "s or much memory"
         )
-        return Unchecked(step.k, "plan", f"{text}; with {FACTOR}=2, twice as much is allowed")
+        return Unchecked(
+            step.k, "plan", f"{message}; with {FACTOR_VARIABLE}=2, twice as much is allowed"
+        )
     except NoSearchError:
         if searches.contradiction is not None:
             return searches.contradiction.in_step(step.k)
@@ -149,15 +160,15 @@ def _step_difference(
         outcome = _outcome_of(decision)
         return Difference(step.k, "plan", f"the controller ends the trial: {outcome.value}")
     if decision.generator != step.plan.generator:
-        text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
-        return Difference(step.k, "generator", text)
+        message = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
+        return Difference(step.k, "generator", message)
     if searches.contradiction is not None:
         return searches.contradiction.in_step(step.k)
     return _plan_difference(decision, step, tolerance)
 
 
 def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference | None:
-    """Return the first difference between a plan and the logged one.
+    """Find the first difference between a recomputed plan and the logged plan of a step.
 
     The logged path is rounded and has no headings: if bits may differ, another number may be
     rounded in the other direction. An earlier version may have logged fewer numbers.
@@ -175,40 +186,40 @@ def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference
 
 
 def plan_again(
-    controller: Controller, log: TrialLog, last: Step | None, observation: Observation
+    controller: Controller, log: TrialLog, previous: Step | None, observation: Observation
 ) -> Decision:
     """Repeat a controller's decision in the control step after a logged step.
 
     Args:
         controller: The controller.
         log: The log.
-        last: The previous step. None for the first step.
+        previous: The previous step. None for the first step.
         observation: The observation of the step.
 
     Raises:
         PluginTrialError: If a plug-in fails.
     """
-    command = None
-    earlier: list[Observation] = []
-    if last is not None:
-        command = last.command
-        after = log.mocap_ns > last.observation.sampled_ns
-        between = np.flatnonzero(after & (log.mocap_ns < observation.sampled_ns))
-        earlier = [log.sample(int(row)).observation for row in between]
+    last_command = None
+    earlier_frames: list[Observation] = []
+    if previous is not None:
+        last_command = previous.command
+        is_after_previous = log.mocap_ns > previous.observation.sampled_ns
+        rows_between = np.flatnonzero(is_after_previous & (log.mocap_ns < observation.sampled_ns))
+        earlier_frames = [log.sample(int(row)).observation for row in rows_between]
     with plugins_named(packages(log.experiment)):
-        return controller.plan(observation, command, earlier)
+        return controller.plan(observation, last_command, earlier_frames)
 
 
-def first_steps(log: TrialLog) -> list[Step]:
+def steps_before_gap(log: TrialLog) -> list[Step]:
     """Return the control steps before the first missing step.
 
     In a damaged log, only the steps before the first missing camera frame are returned.
     """
-    lost = len(log.damage.lost) if log.damage else 0
-    lost_with_its_end = 0 if log.result else 1  # the result and what follows it
+    lost_count = len(log.damage.lost) if log.damage else 0
+    lost_count_without_result = 0 if log.result else 1  # the result and what follows it
     first_missing = np.inf
-    if lost > lost_with_its_end:
-        first_missing = min((gap.first for gap in frame_gaps(log)), default=np.inf)
+    if lost_count > lost_count_without_result:
+        first_missing = min((gap.first_number for gap in frame_gaps(log)), default=np.inf)
     steps: list[Step] = []
     for number, step in enumerate(log.steps):
         if step.k != number or step.observation.frame >= first_missing:
@@ -221,14 +232,14 @@ def first_steps(log: TrialLog) -> list[Step]:
 
 
 def _outcome_difference(
-    log: TrialLog, controller: Controller, last: Step | None
+    log: TrialLog, controller: Controller, last_step: Step | None
 ) -> Difference | None:
     """Check that the controller ends the trial with the logged outcome.
 
-    It must do so on a camera frame of the last control period. The log does not name the frame on
-    which the trial ended: it is one of `_last_frames`. An abort or an interrupt is checked only
-    where the controller may have decided it, and then only if it ends the trial on the newest of
-    these frames.
+    The controller must do so on a camera frame of the last control period. The log does not name
+    the frame on which the trial ended, but it is one of `_final_frame_rows`. An abort or an
+    interrupt is checked only where the controller may have decided it. Then it is checked only if
+    the controller ends the trial on the newest of these frames.
     """
     result = log.result
     if result is None or log.stop is None:
@@ -239,68 +250,73 @@ def _outcome_difference(
         is_error = any(note.level == "error" and note.text == result.reason for note in log.notes)
         if is_error or not log.start.plant.simulated:
             return None
-    ends: list[_LastDecision] = []
-    for frame in _last_frames(log, last, log.stop.sent_ns):
-        end = _decide_last(controller, log, last, log.sample(frame).observation)
-        if end.outcome is result.outcome:
+    decisions: list[_FinalDecision] = []
+    for frame in _final_frame_rows(log, last_step, log.stop.sent_ns):
+        decision = _decide_again(controller, log, last_step, log.sample(frame).observation)
+        if decision.outcome is result.outcome:
             return None
-        ends.append(end)
-    newest = ends[0] if ends else _LastDecision(None, "there is no frame on which to decide")
+        decisions.append(decision)
+    newest = (
+        decisions[0] if decisions else _FinalDecision(None, "there is no frame on which to decide")
+    )
     if newest.outcome is None and not result.outcome.complete:
         return None
     logged = result.outcome.value
-    return Difference(None, "outcome", f"logged {logged!r}, but {newest.text}")
+    return Difference(None, "outcome", f"logged {logged!r}, but {newest.description}")
 
 
-def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
-    """Return the rows of the camera frames on which a trial may have ended, the newest first.
+def _final_frame_rows(log: TrialLog, last_step: Step | None, stop_ns: int) -> list[int]:
+    """Find the rows of the camera frames on which a trial may have ended, the newest first.
 
     The trial was stopped at `stop_ns`. In a lab, every frame after the last step is possible,
     because the stop may have been sent later. In a simulation, it is the newest frame one control
     period after the last command.
     """
-    since_ns = last.observation.received_ns if last else -1
-    after = (log.received_ns > since_ns) & (log.received_ns <= stop_ns)
-    newest_first = np.flatnonzero(after)[::-1]
+    since_ns = last_step.observation.received_ns if last_step else -1
+    is_after_step = (log.received_ns > since_ns) & (log.received_ns <= stop_ns)
+    newest_first = np.flatnonzero(is_after_step)[::-1]
     if log.start.plant.simulated:
         due_ns = stop_ns
-        if last is not None:
-            pause_s = PAUSE_S if last.plan.pauses else 0.0
+        if last_step is not None:
+            pause_s = PAUSE_S if last_step.plan.pauses else 0.0
             wait_ns = round((log.experiment.controller.period + pause_s) * SECOND)
-            due_ns = last.command.sent_ns + wait_ns
+            due_ns = last_step.command.sent_ns + wait_ns
         in_time = log.received_ns[newest_first] <= due_ns
         newest_first = newest_first[in_time][:1]
     return newest_first.tolist()
 
 
 @dataclass(frozen=True, slots=True)
-class _LastDecision:
-    """The outcome with which a controller ends a trial, and its description in words.
+class _FinalDecision:
+    """A controller's decision after the last logged step.
 
-    The outcome is None if the controller does not end the trial.
+    Attributes:
+        outcome: The outcome with which the controller ends the trial. None if it does not end it.
+        description: The decision in words.
     """
 
     outcome: Outcome | None
-    text: str
+    description: str
 
 
-def _decide_last(
-    controller: Controller, log: TrialLog, last: Step | None, observation: Observation
-) -> _LastDecision:
-    """Return the decision of a controller for which the log has no more searches.
+def _decide_again(
+    controller: Controller, log: TrialLog, last_step: Step | None, observation: Observation
+) -> _FinalDecision:
+    """Let a copy of the controller decide on a frame after the last logged step.
 
-    A copy decides, with a copy of its searches, so that each frame is the first after `last`.
+    The copy has its own copy of the searches, so that each frame counts as the first frame after
+    `last_step`. The log has no more searches.
     """
     try:
-        decision = plan_again(copy.deepcopy(controller), log, last, observation)
+        decision = plan_again(copy.deepcopy(controller), log, last_step, observation)
     except NoSearchError:
-        return _LastDecision(None, "the controller goes on")
+        return _FinalDecision(None, "the controller goes on")
     except TetractlError:
-        return _LastDecision(None, "the controller cannot go on")
+        return _FinalDecision(None, "the controller cannot go on")
     if isinstance(decision, Plan):
-        return _LastDecision(None, "the controller goes on")
+        return _FinalDecision(None, "the controller goes on")
     outcome = _outcome_of(decision)
-    return _LastDecision(outcome, f"the controller decides {outcome.value!r}")
+    return _FinalDecision(outcome, f"the controller decides {outcome.value!r}")
 
 
 def _outcome_of(decision: Outcome | End) -> Outcome:
@@ -334,38 +350,46 @@ class SearchRequest:
 class StepSearches:
     """Answers a controller's searches with the logged searches of the present step.
 
-    They are run again if `search_again` is True. Otherwise, their results are evaluated. Call
-    `begin` before each step. Then `requests` contains the controller's requests in this step, by
-    the index of the search in the log. `contradiction` describes how the first logged result
-    contradicts its problem or its optimiser. The processor time, read from `cpu` [s], is limited to
-    `seconds_limit`. For searches that are run again, it counts from the first search, which
-    compiles.
+    Call `start_step` before each step. The processor time is limited to `seconds_limit`. If
+    searches are run again, the time counts from the first search, which compiles.
+
+    Args:
+        search_again: Whether to run the logged searches again. If False, their results are only
+            evaluated.
+        read_cpu_s: Returns the processor time [s].
+
+    Attributes:
+        requests: The controller's requests in this step, by the index of the search in the log.
+        contradiction: How the first contradictory logged result contradicts its problem or its
+            optimiser. None if no contradiction was found.
     """
 
-    def __init__(self, search_again: bool, cpu: Callable[[], float] = computing_s) -> None:
+    def __init__(self, search_again: bool, read_cpu_s: Callable[[], float] = computing_s) -> None:
         self.requests: dict[int, SearchRequest] = {}
         self.contradiction: Difference | None = None
-        self._to_come: list[tuple[int, Search]] = []
+        self._remaining: list[tuple[int, Search]] = []
         self._search_again = search_again
         self._is_compiled = False
-        self._cpu = cpu
-        self._until_s = math.inf if search_again else cpu() + seconds_limit()
+        self._read_cpu_s = read_cpu_s
+        self._deadline_s = math.inf if search_again else read_cpu_s() + seconds_limit()
 
     def controller(self, log: TrialLog, key: int) -> Controller:
-        """Rebuild the controller of a log, with the random key `key`.
+        """Rebuild the controller of a log. This object answers the searches of the controller.
 
-        Its searches are answered by this object.
+        Args:
+            log: The log.
+            key: Seed of the controller's random numbers.
         """
-        host = Host(lambda optimizer: _Repeated(optimizer, self), self._time_ns)
+        host = Host(lambda optimizer: _ReplayOptimizer(optimizer, self), self._time_ns)
         return CheckedController(log.experiment.controller, log.start.setup, key, host)
 
-    def begin(self, searches: Sequence[Search]) -> None:
-        """Take the logged searches of another control step, from which `search` answers.
+    def start_step(self, searches: Sequence[Search]) -> None:
+        """Start a control step: `search` answers from the logged searches of this step.
 
-        The earlier step is forgotten. Searches for given directions are left out, because given
-        signals need no search. No contradiction has been found and nothing has been requested yet.
+        The searches, requests and contradictions of the step before are forgotten. Searches for
+        given directions are left out, because given signals need no search.
         """
-        self._to_come = [
+        self._remaining = [
             (index, search)
             for index, search in enumerate(searches)
             if search.stopped != StopReason.FIXED
@@ -377,12 +401,12 @@ class StepSearches:
         """Answer a search that the controller asks for, from the log or by running it again.
 
         Raises:
-            NoSearchError: If the log has no other search.
+            NoSearchError: If the log has no further search in this step.
             TooLongError: If the time limit is exceeded.
         """
-        if not self._to_come:
+        if not self._remaining:
             raise NoSearchError
-        index, logged = self._to_come.pop(0)
+        index, logged = self._remaining.pop(0)
         self.requests[index] = request
         if self._search_again:
             return self._run_again(request, logged)
@@ -396,43 +420,45 @@ class StepSearches:
     def _run_again(self, request: SearchRequest, logged: Search) -> Search:
         """Run a logged search again.
 
-        If the deadline ended it, it is ended after its logged number of evaluations. TooLongError
-        is raised if this exceeds the time limit.
+        If a deadline ended the logged search, the new search ends after the same number of
+        evaluations. TooLongError is raised if this exceeds the time limit.
         """
         if not self._is_compiled:
-            least = Limits(request.optimizer.evaluations_min)
-            request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
+            minimum_limits = Limits(request.optimizer.evaluations_min)
+            request.optimizer.search(request.problem, 1, np.zeros(1), request.key, minimum_limits)
             self._is_compiled = True
-            self._until_s = self._cpu() + seconds_limit()
-        most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
-        limited = replace(request.limits, expired=lambda spent: self.expired() or spent >= most)
+            self._deadline_s = self._read_cpu_s() + seconds_limit()
+        evaluations_max = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
+        limits = replace(
+            request.limits, expired=lambda spent: self.is_expired() or spent >= evaluations_max
+        )
         search = request.optimizer.search(
-            request.problem, request.length, request.warm, request.key, limited
+            request.problem, request.length, request.warm, request.key, limits
         )
         self.require_time()
         return search
 
-    def expired(self) -> bool:
+    def is_expired(self) -> bool:
         """Check whether the time limit of the verification is exceeded."""
-        return self._cpu() > self._until_s
+        return self._read_cpu_s() > self._deadline_s
 
     def require_time(self) -> None:
         """Check that time is left for the verification. TooLongError is raised if not."""
-        if self.expired():
+        if self.is_expired():
             raise TooLongError
 
     def _time_ns(self) -> int:
         """Return the time for the controller's deadline.
 
-        The searches were logged before the deadline or cut short by it. Therefore no time passes
-        until the last of them, and then every deadline has passed.
+        The logged searches ended before the deadline, or the deadline cut them short. Therefore, no
+        time passes until the last search has been answered. Then every deadline has passed.
         """
-        return 0 if self._to_come else AFTER_EVERY_DEADLINE_NS
+        return 0 if self._remaining else AFTER_EVERY_DEADLINE_NS
 
 
 @dataclass(frozen=True, slots=True)
-class _Repeated:
-    """An `Optimizer` that passes its searches to `searches`, which answers them."""
+class _ReplayOptimizer:
+    """An `Optimizer` that lets a `StepSearches` answer its searches."""
 
     optimizer: OptimizerSection
     searches: StepSearches
@@ -444,9 +470,9 @@ class _Repeated:
 
         `warm` is copied, because the controller continues to use it.
         """
-        start = None if warm is None else warm.copy()
+        warm_copy = None if warm is None else warm.copy()
         return self.searches.search(
-            SearchRequest(self.optimizer, problem, length, start, key, limits)
+            SearchRequest(self.optimizer, problem, length, warm_copy, key, limits)
         )
 
 
@@ -460,7 +486,7 @@ def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterat
         return
     problem = request.problem
     cost = float(evaluate(problem, logged.signals[None]).total[0])
-    tolerance = _tolerance(problem.poses.xy, problem.targets)
+    tolerance = _evaluation_tolerance(problem.poses.xy, problem.targets)
     difference = first_difference(cost, logged.cost, tolerance, f"{name}.cost")
     if difference is not None:
         yield difference
@@ -468,10 +494,10 @@ def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterat
     if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
         yield Difference(None, f"{name}.history", "does not decrease to the stated cost")
     for field in _impossible_fields(request, logged):
-        text = (
+        message = (
             f"logged {getattr(logged, field)}, which contradicts its history and the spec's limits"
         )
-        yield Difference(None, f"{name}.{field}", text)
+        yield Difference(None, f"{name}.{field}", message)
 
 
 def _impossible_fields(request: SearchRequest, logged: Search) -> Iterator[str]:
@@ -511,8 +537,13 @@ def _possible_ends(swarm: Pso, history: Floats, limits: Limits) -> set[StopReaso
     return cut_short
 
 
-def _tolerance(xy: Floats, targets: Floats) -> Tolerance:
-    """Return the tolerance of re-evaluation for N robots at `xy` (N, 2) with `targets` (N, 2)."""
-    ends = np.abs(np.concatenate([xy, targets]))
-    largest = float(ends.max(initial=1.0))
-    return Tolerance(TOLERANCE, ROUNDING * largest * len(targets))
+def _evaluation_tolerance(positions: Floats, targets: Floats) -> Tolerance:
+    """Compute the tolerance for re-evaluating costs.
+
+    Args:
+        positions: Positions of the robots, shape (N, 2) [length unit].
+        targets: Targets of the robots, shape (N, 2) [length unit].
+    """
+    coordinates = np.abs(np.concatenate([positions, targets]))
+    largest = float(coordinates.max(initial=1.0))
+    return Tolerance(RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE * largest * len(targets))

@@ -1,6 +1,6 @@
 """Compare the result in a log with the other records, from which it must follow.
 
-The errors must follow from the final poses, the final poses must be those of a logged frame, and a
+The errors must follow from the final poses, the final poses must occur in a logged frame, and a
 lab's result must name the obstacles that the logged path enters. If this code wrote the log, a
 guard computes again, from the logged commands and frames, how fast a lab's robots turned off
 course. A log that somebody changed together with its digests can still pass: only a signature
@@ -16,14 +16,14 @@ from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, HALTS, Result
 from tetractl.lab.guard import GuardState
 from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.log.provenance import CODE
+from tetractl.log.provenance import TRIAL_CODE_KEY
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.path_check import check_path
-from tetractl.run.task import code_of
+from tetractl.run.task import code_hash
 from tetractl.spec.lab_section import LabSection
 from tetractl.verification.comparison import Difference, first_difference
-from tetractl.verification.guard_replay import camera_frame, checks_of_lab, events_of, note_speeds
+from tetractl.verification.guard_replay import camera_frame, lab_checks, note_speeds, ordered_events
 
 TURN_ERRORS_MAX = 1.0
 """Maximum difference between a stated turn and the recomputed turn, in standard errors.
@@ -66,7 +66,7 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
     has_ended = result.outcome.complete or not np.isnan(result.verdict.final.array()).all()
     if has_ended and len(log.mocap) and not log.start.plant.simulated:
         yield from _check_final_poses(log, result)
-    is_own = log.facts.get(CODE) == code_of(log.experiment)
+    is_own = log.facts.get(TRIAL_CODE_KEY) == code_hash(log.experiment)
     # if the guard aborted a trial, its log does not say when
     if is_own and result.outcome.complete:
         yield from _check_turning_rates(log, result)
@@ -78,15 +78,15 @@ def _check_emulation(log: TrialLog) -> Iterator[Difference]:
     Otherwise it could be mistaken for a trial in a real lab.
     """
     plant = log.start.plant
-    says_so = any(EMULATED_NAME in value for value in plant.facts.values())
-    is_emulated = log.experiment.plant.type == EMULATED_PLANT or says_so
+    reports_emulation = any(EMULATED_NAME in value for value in plant.facts.values())
+    is_emulated = log.experiment.plant.type == EMULATED_PLANT or reports_emulation
     if is_emulated and not plant.facts.get(EMULATED_DEVICES):
         problem = "does not say which devices are emulated"
         yield Difference(None, f"run.facts.{EMULATED_DEVICES}", problem)
 
 
 def _check_final_poses(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Yield how a lab's final poses and entered obstacles contradict its frames.
+    """Yield the contradictions of a lab's final poses and entered obstacles with its frames.
 
     Robots that stop have the poses of the last frame. Cells swim on after the stop, so their final
     poses may come from any frame.
@@ -106,10 +106,10 @@ def _check_final_poses(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _check_turning_rates(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Yield how the robots' turning rates in a lab's result contradict the commands and frames.
+    """Yield the contradictions of the turning rates in a lab's result with commands and frames.
 
-    Rates are compared within TURN_ERRORS standard errors, and the standard errors within
-    TURN_STD_SHARE.
+    Rates may differ by TURN_ERRORS_MAX standard errors, and the standard errors by the fraction
+    TURN_STD_DIFFERENCE_MAX.
     """
     verdict = result.verdict
     rates, errors = _recompute_turning_rates(log)
@@ -136,9 +136,9 @@ def _recompute_turning_rates(log: TrialLog) -> tuple[tuple[float, ...], tuple[fl
     setup = log.start.setup
     if not isinstance(lab, LabSection) or setup.wheel_radius is None:
         return (), ()
-    guard = build_guard(GuardRules.of(setup, lab.limits), checks_of_lab(log.experiment))
+    guard = build_guard(GuardRules.of(setup, lab.limits), lab_checks(log.experiment))
     guard.pass_preflight()
-    for event in events_of(log):
+    for event in ordered_events(log):
         if not event.is_command:
             guard.check_frame(camera_frame(log, event.row))
             continue

@@ -21,7 +21,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.shown import NotebookDisplay
 from tetractl.log import provenance
-from tetractl.log.read.raw_log import ALTERED, RawLog
+from tetractl.log.read.raw_log import ALTERED_TEXT, RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
@@ -29,10 +29,10 @@ from tetractl.spec.experiment import packages
 from tetractl.tools.table.terminal_table import LISTED_MAX
 from tetractl.verification import run_again
 from tetractl.verification.comparison import Difference, Unchecked, first_difference
-from tetractl.verification.recompute import TOLERANCE, Recomputed, recompute
+from tetractl.verification.recompute import RELATIVE_TOLERANCE, Recomputed, recompute
 from tetractl.verification.result_check import result_differences
 
-DECIDES_BITS = (
+BIT_DECIDING_FACTS = (
     "machine",
     "numba_settings",
     "code",
@@ -41,14 +41,14 @@ DECIDES_BITS = (
     "numba",
     "llvmlite",
 )
-"""Facts of a host that must agree for results with the same bits."""
+"""Facts about a host that must agree, so that results have the same bits."""
 
 
 class Method(StrEnum):
     """The method by which the decisions of a log are checked; see `recompute`."""
 
     RECOMPUTED = "re-computed, bit-identical"
-    REEVALUATED = f"costs of the logged plans re-evaluated, to {TOLERANCE:g}"
+    REEVALUATED = f"costs of the logged plans re-evaluated, to {RELATIVE_TOLERANCE:g}"
 
 
 class EndCheck(Enum):
@@ -70,8 +70,8 @@ class Verification(NotebookDisplay):
         checked: Number of steps whose repeated decision agrees with the log.
         method: How decisions were checked. REEVALUATED only if `elsewhere` names a difference.
         elsewhere: Differences between the host that wrote the log and this one.
-        problems: Contradictions and other faults, one line each.
-        unchecked: Parts that could not be checked.
+        problems: Contradictions and other faults. The first decision that differs comes first.
+        unchecked: Parts that were not compared, because that would take too long.
         notes: Further remarks.
         seconds: Time that the check took [s].
     """
@@ -82,8 +82,8 @@ class Verification(NotebookDisplay):
     checked: int
     method: Method
     elsewhere: tuple[str, ...]
-    problems: tuple[Difference, ...]  # the first decision that differs comes first
-    unchecked: tuple[Difference, ...]  # what was not compared, because it takes too long
+    problems: tuple[Difference, ...]
+    unchecked: tuple[Difference, ...]
     notes: tuple[str, ...]
     seconds: float
 
@@ -104,7 +104,7 @@ class Verification(NotebookDisplay):
 
     @property
     def lines(self) -> Iterator[str]:
-        """Yield the report about the log: its verdict, the check that was made, and problems."""
+        """The lines of the report about the log: its verdict, the check that was made, problems."""
         verdict = self.verdict
         if self.rewritten:
             verdict += f", written again by {self.rewritten}"
@@ -132,47 +132,49 @@ def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> V
     Raises:
         LogError: If nothing in the file can be read.
     """
-    raw = scan(path)
-    log = trial_of(raw)
+    raw_log = scan(path)
+    log = trial_of(raw_log)
     with suppress(TetractlError):  # that the controller cannot plan is found below
         warm_up(log.experiment, announce)
     began_s = time.perf_counter()
     elsewhere = host_differences(log)
     why_not_again = run_again.why_not_again(log, elsewhere)
-    end_check = _end_check(log, why_not_again)
-    of_end = list(_differences_of_end(end_check, raw, log))
+    end_check = _choose_end_check(log, why_not_again)
+    end_differences = list(_differences_of_end(end_check, raw_log, log))
     method = Method.RECOMPUTED
     decisions = Recomputed(len(log.steps), None)
-    is_repeated = end_check is EndCheck.AGAIN and not of_end
+    is_repeated = end_check is EndCheck.AGAIN and not end_differences
     if not is_repeated:
-        method, decisions = _decisions(log, elsewhere)
-    found = [] if decisions.difference is None else [decisions.difference]
-    found += of_end
-    found += _differences_of_records(raw, log)
-    unchecked = tuple(item for item in found if isinstance(item, Unchecked))
-    notes = list(_notes(raw, log))
+        method, decisions = _check_decisions(log, elsewhere)
+    differences = [] if decisions.difference is None else [decisions.difference]
+    differences += end_differences
+    differences += _differences_of_records(raw_log, log)
+    unchecked = tuple(difference for difference in differences if isinstance(difference, Unchecked))
+    notes = list(_notes(raw_log, log))
     if end_check is EndCheck.RECORDS and log.start.plant.simulated:
         notes.append(f"the trial was not run again, because {why_not_again}")
     return Verification(
         log=str(path),
-        rewritten=raw.rewritten_by,
+        rewritten=raw_log.rewritten_by,
         steps=len(log.steps),
-        checked=decisions.agreeing,
+        checked=decisions.agreeing_steps,
         method=method,
         elsewhere=elsewhere,
-        problems=tuple(item for item in found if not isinstance(item, Unchecked)),
+        problems=tuple(
+            difference for difference in differences if not isinstance(difference, Unchecked)
+        ),
         unchecked=unchecked,
         notes=tuple(notes),
         seconds=time.perf_counter() - began_s,
     )
 
 
-def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recomputed]:
-    """Check the decisions of a log, and return the method and the result.
+def _check_decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recomputed]:
+    """Check the decisions of a log, and return the method that was used and the result.
 
-    Searches are repeated even on another computer. If none differs, this is the stricter check.
-    Otherwise, the difference between the computers may be the cause, and the logged searches are
-    only evaluated.
+    The searches are repeated first, even if another computer wrote the log. If no decision differs,
+    this is the stricter check. Otherwise, the differences `elsewhere` between the computers may be
+    the cause, so the logged searches are only evaluated.
     """
     decisions = recompute(log, search_again=True)
     if decisions.difference is None or not elsewhere:
@@ -180,7 +182,7 @@ def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recom
     return Method.REEVALUATED, recompute(log, search_again=False)
 
 
-def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
+def _choose_end_check(log: TrialLog, why_not_again: str) -> EndCheck:
     """Choose how the end of a trial is checked: by the first row of EndCheck that applies.
 
     `why_not_again` is the reason why a simulation cannot be run again, or "" if it can.
@@ -192,7 +194,7 @@ def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
     return EndCheck.RECORDS if why_not_again else EndCheck.AGAIN
 
 
-def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+def _differences_of_end(check: EndCheck, raw_log: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Yield each contradiction in the end of a trial, found by the given check.
 
     Nothing is yielded for NOTHING, or if the log has no result.
@@ -207,34 +209,34 @@ def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator
             None, "result.reason", "says that the trial was aborted, but gives no reason"
         )
     if check is EndCheck.AGAIN:
-        yield from run_again.differences(raw, log)
+        yield from run_again.differences(raw_log, log)
     else:
         yield from result_differences(log, result)
 
 
 def _differences_of_commands(log: TrialLog) -> Iterator[Difference]:
-    """Yield how the first wrong command of a step contradicts its plan or the channel /commands.
+    """Yield the first contradiction between a step's command and its plan, or /commands.
 
     Every command but the last also affects the next decision, which is computed again. Commands may
     be missing from the channel of a damaged log.
     """
-    by_time: dict[int, list[Command]] = {}
+    commands_by_time: dict[int, list[Command]] = {}
     for command in log.commands:
-        by_time.setdefault(command.sent_ns, []).append(command)
+        commands_by_time.setdefault(command.sent_ns, []).append(command)
     for step in log.steps:
         action = step.command.action
         difference = first_difference(step.plan.action, action, name="command.action")
-        same_time = by_time.get(step.command.sent_ns, [])
-        if difference is None and (same_time or log.damage is None):
-            others = [first_difference(step.command, sent) for sent in same_time]
-            if None not in others:
+        simultaneous = commands_by_time.get(step.command.sent_ns, [])
+        if difference is None and (simultaneous or log.damage is None):
+            channel_differences = [first_difference(step.command, other) for other in simultaneous]
+            if None not in channel_differences:
                 difference = Difference(None, "command", "differs from the commands on /commands")
         if difference is not None:
             yield difference.in_step(step.k)
             return
 
 
-def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+def _differences_of_records(raw_log: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Yield contradictions between the records of a log.
 
     For example, run and spec may name different plants, frames or steps may be missing, or digests
@@ -246,24 +248,24 @@ def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
         for gap in frame_gaps(log):
             yield Difference(None, "frames", f"missing: {gap}")
     for gap in step_gaps(log):
-        yield Difference(gap.first, "k", f"missing: {gap}")
+        yield Difference(gap.first_number, "k", f"missing: {gap}")
     yield from _differences_of_commands(log)
-    if raw.altered:
-        yield Difference(None, "content_digest", ALTERED)
+    if raw_log.altered:
+        yield Difference(None, "content_digest", ALTERED_TEXT)
     if log.damage is not None:
-        for text in (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost)):
-            yield Difference(None, "damage", text)
-    elif raw.host_altered:  # records of the host may be lost in a damaged log
-        text = "the records of the host do not match the digest that the log states"
-        yield Difference(None, "host_digest", text)
+        for message in (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost)):
+            yield Difference(None, "damage", message)
+    elif raw_log.host_altered:  # records of the host may be lost in a damaged log
+        message = "the records of the host do not match the digest that the log states"
+        yield Difference(None, "host_digest", message)
 
 
-def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
+def _notes(raw_log: RawLog, log: TrialLog) -> Iterator[str]:
     """Yield remarks that a reader of the log should know, but that are not faults."""
     if _may_lose_frames(log):
         for gap in frame_gaps(log):
             yield f"missing: {gap}"
-    if raw.reordered:
+    if raw_log.reordered:
         yield "the content digest was not compared, because the messages are in another order"
 
 
@@ -273,22 +275,22 @@ def _may_lose_frames(log: TrialLog) -> bool:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """List the differences between the log's computer and this one that may change results.
+    """List the differences between the log's computer and this computer that may change results.
 
-    They concern the processor, versions and the packages of the spec. The result is empty if
-    nothing differs.
+    The differences concern the processor, versions and the packages of the spec. The result is
+    empty if nothing differs.
     """
-    used = provenance.plugins(packages(log.experiment))
-    these_facts = {**provenance.host(), **provenance.versions(), **used}
+    plugin_versions = provenance.plugins(packages(log.experiment))
+    present_facts = {**provenance.host(), **provenance.versions(), **plugin_versions}
     return tuple(
-        _difference(key, log.facts.get(key), these_facts.get(key))
-        for key in (*DECIDES_BITS, *used)
-        if these_facts.get(key) != log.facts.get(key)
+        _describe_host_difference(key, log.facts.get(key), present_facts.get(key))
+        for key in (*BIT_DECIDING_FACTS, *plugin_versions)
+        if present_facts.get(key) != log.facts.get(key)
     )
 
 
-def _difference(key: str, logged: str | None, present: str | None) -> str:
-    """Describe how the fact `key` differs between the log's computer and this one."""
+def _describe_host_difference(key: str, logged: str | None, present: str | None) -> str:
+    """Describe how the fact `key` differs between the log's computer and this computer."""
     return (
         f"{key}: {logged or 'unknown'} on the computer that wrote the log, "
         f"{present or 'unknown'} on this one"

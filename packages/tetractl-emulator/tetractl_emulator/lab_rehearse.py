@@ -89,7 +89,7 @@ def rehearse(
     """
     from tetractl.control.methods.build import warm_up
     from tetractl.core.plan import Outcome
-    from tetractl.run.executors import called
+    from tetractl.run.executors import call_in_workers
     from tetractl.run.logged_trial import run_logged
     from tetractl.run.store import RecordStore
     from tetractl.spec.load import load_spec
@@ -136,9 +136,9 @@ def rehearse(
         with result_store.opened(), interrupted_once(), ui.progress("days") as show_progress:
             waiting_days = [day for day in day_indices if day not in rows]
             for done_count, row in enumerate(
-                called(run_one_day, waiting_days, jobs, ui.tell), start=1
+                call_in_workers(run_one_day, waiting_days, jobs, ui.tell), start=1
             ):
-                result_store.add(row["day"], row)
+                result_store.add_record(row["day"], row)
                 show_progress(done_count, len(waiting_days))
                 if not is_terminal(sys.stderr):
                     remaining_s = (

@@ -95,7 +95,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     costs: list[float] = []
     swarm = section.create_swarm(request.problem, request.length, request.warm, request.key)
     for z in range(last + 1):
-        if searches.expired():
+        if searches.is_expired():
             raise LogError(f"{log.log}: running the first search of the trial again takes too long")
         if z > 0:
             swarm.iterate()
@@ -122,7 +122,7 @@ def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
         LogError: If the controller does not request this search.
     """
     step = log.steps[0]
-    searches.begin(step.plan.searches)
+    searches.start_step(step.plan.searches)
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
         searches.controller(log, key).plan(step.observation)

@@ -61,7 +61,7 @@ def logs(monkeypatch, tmp_path):
             table = Table("", (Column("log", [path.stem]),))
             return dict.fromkeys(wanted, table), content
 
-        monkeypatch.setattr("tetractl.statistics.trial_tables.of_log", of_log)
+        monkeypatch.setattr("tetractl.statistics.trial_tables.read_tables", of_log)
         return SimpleNamespace(
             run=lambda: export(["x"], tmp_path / "steps.csv", "steps"),
             text=lambda: (tmp_path / "steps.csv").read_text(),

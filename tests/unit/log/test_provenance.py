@@ -18,7 +18,7 @@ def checkout(tmp_path, monkeypatch):
     package = tmp_path / "tetractl"
     (package / "log").mkdir(parents=True)
     (package / "__init__.py").write_text("")
-    monkeypatch.setattr(provenance, "HERE", package)
+    monkeypatch.setattr(provenance, "PACKAGE_FOLDER", package)
     for cached in (provenance.versions, provenance.git_state, provenance.environment):
         cached.cache_clear()
     yield tmp_path
@@ -77,7 +77,7 @@ def test_the_code_of_a_trial_covers_what_makes_its_digest():
         text=True,
         check=True,
     ).stdout.split()
-    parts = {part.replace("/", ".") for part in provenance.TRIAL_CODE}
+    parts = {part.replace("/", ".") for part in provenance.TRIAL_CODE_PARTS}
     mine = {name for name in modules if name.startswith("tetractl.log.")}
     packages = {"tetractl.log.format", "tetractl.log.read"}
     undigested = {"tetractl.log.provenance"}  # only the host records, which no digest covers
@@ -85,10 +85,10 @@ def test_the_code_of_a_trial_covers_what_makes_its_digest():
     assert [name for name in mine - packages - undigested if not name.startswith(of_a_part)] == []
 
 
-@pytest.mark.parametrize("part", [*provenance.TRIAL_CODE, *provenance.DECIDING])
+@pytest.mark.parametrize("part", [*provenance.TRIAL_CODE_PARTS, *provenance.DECISION_PARTS])
 def test_each_part_of_the_code_is_a_folder_with_code(part):
     """Regression: a renamed folder was no longer part of the hash, and nothing said so."""
-    assert [*(provenance.HERE / part).rglob("*.py")]
+    assert [*(provenance.PACKAGE_FOLDER / part).rglob("*.py")]
 
 
 def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout):
@@ -109,7 +109,7 @@ def test_without_git_there_is_no_commit(checkout, monkeypatch):
 @pytest.mark.parametrize(
     ("key", "is_one"),
     [
-        *((key, True) for key in ("python", "numpy", "git_commit", provenance.CODE)),
+        *((key, True) for key in ("python", "numpy", "git_commit", provenance.TRIAL_CODE_KEY)),
         ("package.tetractl-toio", True),
         *((key, False) for key in ("host", "machine", "started", "pid", "cpus", "a package.x")),
     ],
@@ -121,8 +121,8 @@ def test_versions_of_code_are_told_from_other_facts_of_a_host(key, is_one):
 def test_packages_of_a_spec_are_facts_under_keys_of_versions_and_change_the_code():
     facts = provenance.host_facts({"numpy": "9.9"})
     assert facts["package.numpy"] == "9.9"
-    assert facts[provenance.CODE] == provenance.trial_code((("numpy", "9.9"),))
-    assert facts[provenance.CODE] != provenance.trial_code()
+    assert facts[provenance.TRIAL_CODE_KEY] == provenance.trial_code((("numpy", "9.9"),))
+    assert facts[provenance.TRIAL_CODE_KEY] != provenance.trial_code()
     assert {"started", "pid", "host", "machine", "numpy"} <= facts.keys()
 
 

@@ -86,7 +86,7 @@ def test_an_outcome_that_logs_call_by_its_first_name_is_read_by_its_present_one(
     random_trial = trial(1, steps=1)
     ended = replace(random_trial.result, outcome=Outcome.NO_BETTER_PLAN, reason="")
     path = write(replace(random_trial, result=ended), tmp_path / "trial.mcap")
-    assert b"nothing better" in scan(path).by_topic[RESULT][0].data
+    assert b"nothing better" in scan(path).entries_by_topic[RESULT][0].data
     assert read_result(path).outcome is Outcome.NO_BETTER_PLAN
     log = read_trial(path)
     assert log.notes[-1].text == "nothing better after 1 control steps"
@@ -109,4 +109,4 @@ def test_a_state_of_an_earlier_version_is_read_as_driving(former):
     step = trial(robots=2, steps=1).steps[0]
     message = codec.encode_step(step, codec.encode_command(step.command))
     message.state = former
-    assert codec.decode_step(message, None, robots=2).plan.state is State.DRIVING
+    assert codec.decode_step(message, None, n_robots=2).plan.state is State.DRIVING

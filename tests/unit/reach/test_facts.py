@@ -13,8 +13,8 @@ ROBOTS = THREE_M3PI["robots"]
 @pytest.fixture(autouse=True)
 def few_short_sequences(monkeypatch):
     """What is said here needs no exact spread."""
-    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 20)
-    monkeypatch.setattr("tetractl.reach.reach.LENGTH", 8)
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCE_COUNT", 20)
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCE_LENGTH", 8)
 
 
 def robots_of(*rates):

@@ -26,7 +26,7 @@ def three_robots(a=(6, 4, 3), speed=(200, 200, 200), **fields):
 @pytest.fixture
 def few_sequences(monkeypatch):
     """Enough to tell which robots are alike."""
-    monkeypatch.setattr("tetractl.reach.reach.SEQUENCES", 80)
+    monkeypatch.setattr("tetractl.reach.reach.SEQUENCE_COUNT", 80)
 
 
 @pytest.fixture(scope="module")

@@ -133,7 +133,7 @@ def test_without_any_log_that_can_be_read_there_is_no_report(tmp_path, without_d
 def test_a_report_of_many_trials_leaves_out_plans_and_says_so(
     tmp_path, monkeypatch, without_drawing, many, complete
 ):
-    monkeypatch.setattr(page, "COMPLETE_MAX", many)
+    monkeypatch.setattr(page, "COMPLETE_TRIALS_MAX", many)
     plans = []
     real = page.trial_data
 
@@ -144,13 +144,13 @@ def test_a_report_of_many_trials_leaves_out_plans_and_says_so(
     monkeypatch.setattr(page, "trial_data", data)
     html, _, _ = made([logs_in(tmp_path / "a", 3)])
     assert plans == [complete] * 3
-    assert (page.NOTE_OF_SELECTION.format(3, 3) in html) != complete
+    assert (page.SELECTION_NOTE.format(3, 3) in html) != complete
     assert ("the 3 trials on this page" in html) != complete
 
 
 @pytest.mark.parametrize(("many", "complete"), [(2, True), (1, False)])
 def test_a_player_of_many_trials_leaves_out_plans_too(tmp_path, monkeypatch, many, complete):
-    monkeypatch.setattr(page, "COMPLETE_MAX", many)
+    monkeypatch.setattr(page, "COMPLETE_TRIALS_MAX", many)
     folder = logs_in(tmp_path / "a", 2)
     logs = [read_trial(path) for path in sorted(folder.iterdir())]
     plans = []
@@ -186,7 +186,7 @@ def test_what_does_not_count_takes_a_part_of_the_places_only():
         for t in trials
     ]
     carried = [int(path.stem) for path in logs_to_carry(group(aborted), 2)]
-    most = max(page.CARRIED_MIN, page.CARRIED_MAX // 2)
+    most = max(page.CARRIED_PER_BATCH_MIN, page.CARRIED_TRIALS_MAX // 2)
     assert sum(number < 60 for number in carried) == most // page.EXCLUDED_RATIO
     assert len(carried) == most
     assert {60, 99} <= set(carried)

@@ -16,7 +16,7 @@ from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.report.page import errors_over_time, logs_to_carry, without_details
-from tetractl.report.trial_data import packed, significant, trial_data
+from tetractl.report.trial_data import pack_trial, round_significant, trial_data
 from tetractl.statistics.describe import describe
 from tetractl.statistics.open_batch import Batch
 from tetractl.view.figures.draw import draw
@@ -65,14 +65,14 @@ def arena_size(log):
 
 
 def test_the_page_has_the_poses_that_were_measured(log):
-    data = unpacked(packed(trial_data(log, "t")))
+    data = unpacked(pack_trial(trial_data(log, "t")))
     last = np.array(data["frames"]["xy"][-1], dtype=float)  # None becomes NaN
     measured = np.where(log.valid[-1, :, None], log.mocap[-1, :, :2], np.nan)
     assert last == pytest.approx(measured, abs=1e-6 * arena_size(log), nan_ok=True)
 
 
 def test_the_page_has_each_plan_and_search(log):
-    data = unpacked(packed(trial_data(log, "t")))
+    data = unpacked(pack_trial(trial_data(log, "t")))
     for step, path, history in zip(log.steps, data["plan"], data["history"], strict=True):
         assert np.array(path) == pytest.approx(step.plan.path[..., :2], abs=1e-3 * arena_size(log))
         assert history == pytest.approx(step.plan.search.history, rel=1e-3)
@@ -138,4 +138,4 @@ def test_the_result_of_a_lab_is_said_to_be_measured():
 
 
 def test_what_is_not_finite_is_missing():
-    assert significant([1234.56, -1e-7, np.nan, np.inf]) == [1235.0, -1e-7, None, None]
+    assert round_significant([1234.56, -1e-7, np.nan, np.inf]) == [1235.0, -1e-7, None, None]

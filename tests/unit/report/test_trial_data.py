@@ -11,7 +11,7 @@ from testkit.random_trials import SMALL, trial, write_and_read
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds
 from tetractl.log.write.encoder import SHOWN_HZ
-from tetractl.report.trial_data import rounded, trial_data
+from tetractl.report.trial_data import round_to_lists, trial_data
 from tetractl.view.player import end_ns
 
 
@@ -24,13 +24,13 @@ def log(tmp_path_factory):
 
 @given(st.lists(st.floats(-1e4, 1e4) | st.sampled_from([np.nan, np.inf, -np.inf]), max_size=6))
 def test_numbers_are_rounded_and_what_is_not_finite_is_missing(values):
-    for value, number in zip(values, rounded(values, 2), strict=True):
+    for value, number in zip(values, round_to_lists(values, 2), strict=True):
         if np.isfinite(value):
             assert abs(number - value) <= 0.005 + 1e-9
             assert number == float(f"{number:.2f}")
         else:
             assert number is None
-    assert rounded([values], 2) == [rounded(values, 2)]
+    assert round_to_lists([values], 2) == [round_to_lists(values, 2)]
 
 
 def test_frames_are_shown_at_most_15_times_a_second_with_the_first_and_the_last(log):

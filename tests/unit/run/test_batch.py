@@ -12,12 +12,12 @@ from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import read_trial
 from tetractl.run import executors
 from tetractl.run.batch import OnFailure, TrialTimes, run_batch
-from tetractl.run.executors import on_this_machine
+from tetractl.run.executors import local_executor
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.store import Store
-from tetractl.run.task import Finished, Task, batch_tasks
+from tetractl.run.task import FinishedTrial, Task, batch_tasks
 from tetractl.spec.load import parse_spec
 
 SPEC = parse_spec(QUICK.replace("count: 3", "count: 4"), "quick.yaml")
@@ -30,11 +30,13 @@ class Watcher:
         self.events = []
 
     def trial_started(self, task):
-        self.events.append(("started", task.trial, task.count))
+        self.events.append(("started", task.trial, task.trial_count))
 
     def trial_ended(self, ending):
         outcome = ending.result and ending.result.outcome
-        self.events.append(("ended", ending.task.trial, outcome, ending.failure, ending.left_s))
+        self.events.append(
+            ("ended", ending.task.trial, outcome, ending.failure, ending.remaining_s)
+        )
 
 
 def scripted(monkeypatch, outcomes, action=lambda trial: None, can_restart=True):
@@ -49,14 +51,14 @@ def scripted(monkeypatch, outcomes, action=lambda trial: None, can_restart=True)
         outcome = outcomes.get(task.trial, Outcome.ARRIVED)
         if isinstance(outcome, Exception):
             raise outcome
-        return Finished(replace(result, outcome=outcome, reason="why"), 2.0)
+        return FinishedTrial(replace(result, outcome=outcome, reason="why"), 2.0)
 
     monkeypatch.setattr(executors, "run_task", run)
     return ran
 
 
 def run(folder, trials=range(4), jobs=1, interrupt=None, watcher=None, on_failure=OnFailure.END):
-    executor = on_this_machine(jobs, len(trials), interrupt or Interrupt())
+    executor = local_executor(jobs, len(trials), interrupt or Interrupt())
     store = Store.of_batch(folder, SPEC.experiment)
     return run_batch(batch_tasks(SPEC, trials), store, executor, watcher or Watcher(), on_failure)
 
@@ -75,7 +77,7 @@ def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch
         for trial, left_s in ((0, 4.0), (2, 2.0), (3, 0.0))
         for event in (("started", trial, 4), ("ended", trial, Outcome.ARRIVED, None, left_s))
     ]
-    assert (report.left, report.interrupted, report.aborted) == (0, False, {})
+    assert (report.remaining, report.interrupted, report.aborted) == (0, False, {})
 
 
 def task_of(arm):
@@ -84,19 +86,19 @@ def task_of(arm):
 
 def test_the_time_left_is_the_mean_of_each_arm_or_of_all_trials():
     times = TrialTimes([task_of(arm) for arm in ("slow", "slow", "slow", "quick", "new", "new")])
-    assert times.left_s(1) is None
-    times.note_end("slow", 30.0)
-    times.note_end("slow", 50.0)
-    times.note_end("quick", 4.0)
-    assert not times.of_every_arm
+    assert times.remaining_s(1) is None
+    times.record_end("slow", 30.0)
+    times.record_end("slow", 50.0)
+    times.record_end("quick", 4.0)
+    assert not times.has_each_arm
     mean_s = (30 + 50 + 4) / 3
-    assert times.left_s(1) == pytest.approx(40 + 2 * mean_s)
-    assert times.left_s(4) == pytest.approx((40 + 2 * mean_s) / 4)
-    times.note_end("slow", None)  # without a result, it says nothing about time
-    assert times.left_s(1) == pytest.approx(2 * mean_s)
-    times.note_end("new", 6.0)
-    assert times.of_every_arm
-    assert times.left_s(1) == pytest.approx(6.0)
+    assert times.remaining_s(1) == pytest.approx(40 + 2 * mean_s)
+    assert times.remaining_s(4) == pytest.approx((40 + 2 * mean_s) / 4)
+    times.record_end("slow", None)  # without a result, it says nothing about time
+    assert times.remaining_s(1) == pytest.approx(2 * mean_s)
+    times.record_end("new", 6.0)
+    assert times.has_each_arm
+    assert times.remaining_s(1) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("on_failure", OnFailure)
@@ -111,7 +113,7 @@ def test_an_aborted_trial_ends_the_run_if_that_is_asked_for(
         on_failure is OnFailure.GO_ON_IF_CLEAR and can_restart
     )
     assert ran == ([0, 1, 2, 3] if goes_on else [0, 1])
-    assert ([*report.aborted], report.left) == ([("", 1)], 0 if goes_on else 2)
+    assert ([*report.aborted], report.remaining) == ([("", 1)], 0 if goes_on else 2)
     assert not report.interrupted
     assert [event[3] for event in watcher.events if event[0] == "ended"][1] == "aborted: why"
 
@@ -120,7 +122,7 @@ def test_a_trial_without_an_outcome_ends_a_batch_that_goes_on_after_aborts(monke
     ran = scripted(monkeypatch, {0: Outcome.ABORTED, 1: AbortError("the port is gone")})
     report = run(tmp_path, on_failure=OnFailure.GO_ON_IF_CLEAR)
     assert ran == [0, 1]
-    assert ([*report.errors], report.left) == ([("", 1)], 2)
+    assert ([*report.errors], report.remaining) == ([("", 1)], 2)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +133,7 @@ def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupt
     interrupt = Interrupt()
     scripted(monkeypatch, outcomes, lambda trial: trial == 1 and interrupt.request())
     report = run(tmp_path, interrupt=interrupt, on_failure=OnFailure.GO_ON)
-    assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, interrupted)
+    assert (ran_of(report), report.remaining, report.interrupted) == ([0, 1], 2, interrupted)
 
 
 def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):
@@ -176,7 +178,7 @@ class OneByOne:
     def run(self, tasks, ready):
         result = made.trial(1, steps=2, frames=2).result
         for started in tasks:
-            yield started, Finished(result, {"quick": 1.0, "slow": 4.0}[started.arm])
+            yield started, FinishedTrial(result, {"quick": 1.0, "slow": 4.0}[started.arm])
 
 
 def left_at_ends(order):
@@ -184,7 +186,7 @@ def left_at_ends(order):
     tasks = [Task(trial, 10, b"", arm) for trial, arm in order]
     watcher = studies.Watcher()
     run_batch(tasks, mock.Mock(), OneByOne(), watcher)
-    return [(ending.left_s, ending.every_arm) for ending in watcher.endings]
+    return [(ending.remaining_s, ending.has_time_of_each_arm) for ending in watcher.endings]
 
 
 def test_the_time_left_is_drawn_from_every_arm():
@@ -199,4 +201,9 @@ def test_the_time_left_is_drawn_from_every_arm():
 def test_a_batch_of_nothing_is_done(tmp_path, jobs):
     """Regression: `--jobs 2 --resume` of a complete batch crashed."""
     report = run(tmp_path, [], jobs)
-    assert (report.results, report.errors, report.left, report.interrupted) == ({}, {}, 0, False)
+    assert (report.results, report.errors, report.remaining, report.interrupted) == (
+        {},
+        {},
+        0,
+        False,
+    )

@@ -10,7 +10,7 @@ from tetractl.core.errors import AbortError
 from tetractl.run import cluster
 from tetractl.run.cluster import Cluster, chunk_size
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import Finished, Task
+from tetractl.run.task import FinishedTrial, Task
 
 pytestmark = pytest.mark.skipif(
     find_spec("distributed") is None, reason="distributed is not installed"
@@ -57,7 +57,7 @@ class Future:
         return self.error
 
     def result(self):
-        return [(Finished(None, 0.05), None) for _ in self.tasks]
+        return [(FinishedTrial(None, 0.05), None) for _ in self.tasks]
 
     def release(self):
         pass
@@ -94,7 +94,7 @@ def test_a_task_is_two_seconds_of_trials(tmp_path):
     assert sorted(outcomes) == list(range(2000))
     sizes = list(map(len, client.chunks))
     assert sizes[:8] == [1] * 8  # nothing is known of the first
-    assert max(sizes) == int(cluster.TASK_S / 0.05) == 40
+    assert max(sizes) == int(cluster.TASK_DURATION_S / 0.05) == 40
     assert len(sizes) < 150
     assert sizes[-1] == 1  # the last ones are shared out
 
@@ -208,16 +208,16 @@ def test_the_workers_are_counted_again_after_a_second_and_are_never_none(monkeyp
     executor = executor_of(client)
     assert executor.workers == 4
     client.threads = 7
-    now_s += 0.9 * cluster.COUNT_S
+    now_s += 0.9 * cluster.COUNT_INTERVAL_S
     assert executor.workers == 4
-    now_s += 0.1 * cluster.COUNT_S
+    now_s += 0.1 * cluster.COUNT_INTERVAL_S
     assert executor.workers == 7
     client.threads = 0
-    now_s += cluster.COUNT_S
+    now_s += cluster.COUNT_INTERVAL_S
     assert executor.workers == 1
     client.threads = 9
     client.status = "closed"
-    now_s += cluster.COUNT_S
+    now_s += cluster.COUNT_INTERVAL_S
     assert executor.workers == 1  # nobody answers
 
 
@@ -241,7 +241,8 @@ def test_logs_that_workers_return_are_stored_where_each_trial_is_kept(tmp_path):
     class Returning(Future):
         def result(self):
             return [
-                (Finished(None, 0.05), b"log" if task.trial % 2 else None) for task in self.tasks
+                (FinishedTrial(None, 0.05), b"log" if task.trial % 2 else None)
+                for task in self.tasks
             ]
 
     client = Client(threads=1)

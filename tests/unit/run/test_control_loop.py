@@ -26,8 +26,8 @@ from tetractl.run.control_loop import (
     LoopEnd,
     RobotMotion,
     StepPacing,
-    how_it_ended,
-    motion_text,
+    describe_motion_change,
+    outcome_and_reason,
 )
 
 PERIOD = SECOND // 5
@@ -499,13 +499,13 @@ def test_frames_between_two_steps_go_to_the_controller_once_and_to_observers_onc
     plant = Frames()
     intake = FrameIntake(plant)
     plant.waiting = seen(10, 20, 30)
-    intake.take()
+    intake.collect()
     plant.waiting = seen(40, 50)
     first, last = (sample.observation for sample in seen(10, 40))
     between = intake.take_between(first, last)
     assert [frame.sampled_ns for frame in between] == [20, 30]
-    assert [s.observation.sampled_ns for s in intake.hand_over()] == [10, 20, 30, 40, 50]
-    assert intake.hand_over() == []
+    assert [s.observation.sampled_ns for s in intake.pop_unreported()] == [10, 20, 30, 40, 50]
+    assert intake.pop_unreported() == []
     plant.waiting = seen(60, 70)
     (later,) = (sample.observation for sample in seen(70))
     between = intake.take_between(last, later)
@@ -519,7 +519,7 @@ def test_frames_between_two_steps_go_to_the_controller_once_and_to_observers_onc
 @pytest.mark.parametrize("before", RobotMotion)
 @pytest.mark.parametrize("now", [RobotMotion.DRIVE, RobotMotion.TURN, RobotMotion.STAND])
 def test_a_turn_and_a_pause_are_told_when_they_begin_and_a_pause_after_a_turn_is_not(before, now):
-    text = motion_text(before, now)
+    text = describe_motion_change(before, now)
     if now is RobotMotion.TURN and before is not RobotMotion.TURN:
         assert text == TURNING_TEXT
     elif now is RobotMotion.STAND and before in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
@@ -532,7 +532,7 @@ def ended_by(loop_error=None, halt_error=None, at_rest="", unrest="", dead="", f
     loop = LoopEnd(Outcome.ABORTED if loop_error else Outcome.ARRIVED, error=loop_error)
     verdict = replace(Verdict.unknown(1), not_at_rest=at_rest, unrest=unrest)
     halt = Halt(Command(Stop(), 0, (True,)), verdict, [], [], halt_error)
-    return how_it_ended(loop, halt, fault, dead)
+    return outcome_and_reason(loop, halt, fault, dead)
 
 
 LOST, FULL = AbortError("green is lost"), LogError("the disk is full")

@@ -16,16 +16,16 @@ import pytest
 from tetractl.core.errors import AbortError
 from tetractl.run import executors
 from tetractl.run.executors import (
-    KILLED,
-    SIGTERM_S,
-    Here,
-    Processes,
+    KILLED_TEXT,
+    SIGTERM_INTERVAL_S,
+    InProcessExecutor,
+    ProcessExecutor,
     _SharedInterrupt,
-    called,
-    on_this_machine,
+    call_in_workers,
+    local_executor,
 )
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
-from tetractl.run.task import Finished, Task
+from tetractl.run.task import FinishedTrial, Task
 
 SOURCE = """
 import os, signal
@@ -62,7 +62,7 @@ def test_an_error_of_a_trial_does_not_keep_its_plant_in_memory(monkeypatch):
         raise AbortError("green is 76 mm from its start")
 
     monkeypatch.setattr("tetractl.run.executors.run_task", refused)
-    ((_, error),) = Here(Interrupt()).run([None], lambda task: None)
+    ((_, error),) = InProcessExecutor(Interrupt()).run([None], lambda task: None)
     gc.collect()
     assert error.message == "green is 76 mm from its start"
     assert plants[0]() is None
@@ -112,7 +112,7 @@ class Pool:
         elif task.trial in self.failing:
             future.set_exception(AbortError(f"trial {task.trial} failed"))
         else:
-            future.set_result(Finished(None, 0.1))
+            future.set_result(FinishedTrial(None, 0.1))
         return future
 
 
@@ -135,7 +135,7 @@ def pool(monkeypatch):
 
 def run_in_processes(workers, interrupt=None, on_start=lambda task, executor: None):
     """What becomes of each task that was started, in the order in which they ended."""
-    executor = Processes(workers, interrupt or Interrupt())
+    executor = ProcessExecutor(workers, interrupt or Interrupt())
 
     def start_task(task):
         on_start(task, executor)
@@ -149,7 +149,7 @@ def test_every_task_is_started_once_and_ends_with_its_result(pool):
     assert workers.sizes == [3]
     assert workers.submitted == list(range(9))
     assert sorted(trial for trial, _ in ended) == list(range(9))
-    assert all(isinstance(result, Finished) for _, result in ended)
+    assert all(isinstance(result, FinishedTrial) for _, result in ended)
 
 
 def test_an_error_of_a_task_is_its_end_and_the_others_go_on(pool):
@@ -164,7 +164,7 @@ def test_a_trial_whose_worker_was_killed_is_repeated_alone_and_the_others_go_on(
     workers = pool(deadly={2: 1})
     ended = run_in_processes(3)
     assert sorted(trial for trial, _ in ended) == list(range(9))
-    assert all(isinstance(result, Finished) for _, result in ended)
+    assert all(isinstance(result, FinishedTrial) for _, result in ended)
     assert workers.submitted.count(2) == 2
     assert 1 in workers.sizes  # the repetition
     assert workers.sizes[-1] == 3  # then all workers again
@@ -175,7 +175,7 @@ def test_a_trial_whose_worker_is_killed_twice_fails_and_no_other_does(pool):
     ended = dict(run_in_processes(1))
     assert sorted(ended) == list(range(9))
     assert [trial for trial, result in ended.items() if isinstance(result, Exception)] == [2]
-    assert ended[2].message == KILLED
+    assert ended[2].message == KILLED_TEXT
     assert workers.submitted.count(2) == 2
 
 
@@ -197,7 +197,7 @@ def test_no_task_is_started_after_the_end_or_a_request(pool):
 def test_a_request_ends_the_workers_and_what_they_have_started_is_still_yielded(pool):
     workers = pool()
     interrupt = Interrupt()
-    executor = Processes(2, interrupt)
+    executor = ProcessExecutor(2, interrupt)
     ended = []
     for task, _ in executor.run(TASKS, lambda task: None):
         ended.append(task.trial)
@@ -222,14 +222,14 @@ def test_only_a_second_request_terminates_the_workers_and_again_every_second(poo
     now_s = 100.0
     monkeypatch.setattr(executors.time, "monotonic", lambda: now_s)
     interrupt = Interrupt(breaks_at=99)
-    executor = Processes(2, interrupt)
+    executor = ProcessExecutor(2, interrupt)
     for requests, at_s, terminated in [
         (0, 100.0, 0),
         (1, 100.0, 0),
         (2, 100.0, 1),
-        (2, 100.0 + 0.9 * SIGTERM_S, 1),
-        (2, 100.0 + SIGTERM_S, 2),
-        (3, 100.0 + 1.5 * SIGTERM_S, 2),
+        (2, 100.0 + 0.9 * SIGTERM_INTERVAL_S, 1),
+        (2, 100.0 + SIGTERM_INTERVAL_S, 2),
+        (3, 100.0 + 1.5 * SIGTERM_INTERVAL_S, 2),
     ]:
         interrupt.count = requests
         now_s = at_s
@@ -245,19 +245,19 @@ def test_only_a_second_request_terminates_the_workers_and_again_every_second(poo
 )
 def test_there_are_no_more_processes_than_jobs_or_tasks(pool, jobs, tasks, workers):
     pool()
-    executor = on_this_machine(jobs, tasks, Interrupt())
+    executor = local_executor(jobs, tasks, Interrupt())
     assert executor.workers == workers
-    assert isinstance(executor, Processes) == (workers > 1)
+    assert isinstance(executor, ProcessExecutor) == (workers > 1)
 
 
 def test_in_this_process_nothing_is_started_after_the_end_or_a_request(monkeypatch):
-    monkeypatch.setattr(executors, "run_task", lambda task, *_: Finished(None, 0.1))
-    here = Here(Interrupt())
+    monkeypatch.setattr(executors, "run_task", lambda task, *_: FinishedTrial(None, 0.1))
+    here = InProcessExecutor(Interrupt())
     started = [task.trial for task, _ in here.run(TASKS, lambda task: None)]
     assert started == list(range(9))
     for stop in (lambda executor, interrupt: executor.end(), lambda _, i: i.request()):
         interrupt = Interrupt()
-        here = Here(interrupt)
+        here = InProcessExecutor(interrupt)
         started = []
         for task, _ in here.run(TASKS, lambda task: None):
             started.append(task.trial)
@@ -272,7 +272,9 @@ def test_calls_are_answered_in_this_process_for_one_job_or_one_item(monkeypatch)
 
     monkeypatch.setattr(executors, "WorkerPool", refuse)
     for items, jobs in (([3, 1, 2], 1), ([3], 4), ([], 4)):
-        assert list(called(lambda x: 2 * x, items, jobs, print)) == [2 * item for item in items]
+        assert list(call_in_workers(lambda x: 2 * x, items, jobs, print)) == [
+            2 * item for item in items
+        ]
 
 
 def test_calls_of_several_jobs_go_to_a_pool_of_at_most_as_many_workers_as_items(monkeypatch):
@@ -285,7 +287,9 @@ def test_calls_of_several_jobs_go_to_a_pool_of_at_most_as_many_workers_as_items(
     pool = Inline()
     monkeypatch.setattr(executors, "WorkerPool", pool)
     for items, jobs in (([3, 1], 2), ([3, 1, 2], 2), ([3, 1], 8)):
-        assert sorted(called(lambda x: 2 * x, items, jobs, print)) == sorted(2 * x for x in items)
+        assert sorted(call_in_workers(lambda x: 2 * x, items, jobs, print)) == sorted(
+            2 * x for x in items
+        )
     assert pool.sizes == [2, 2, 2]
 
 
@@ -322,7 +326,7 @@ def test_signals_are_blocked_in_a_worker_while_it_starts_and_as_before_afterward
     if not hasattr(signal, "pthread_sigmask"):
         pytest.skip("needs signal masks")
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    with executors._signals_held_back():
+    with executors._block_signals():
         inside = signal.pthread_sigmask(signal.SIG_BLOCK, [])
     assert inside >= set(STOP_SIGNALS)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before

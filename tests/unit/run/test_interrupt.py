@@ -54,7 +54,7 @@ def test_the_first_signal_raises_and_the_cleaning_up_is_left_in_peace():
 def test_a_suspending_signal_is_a_request_only_where_robots_move():
     before = signal.getsignal(signal.SIGTSTP)
     interrupt = Interrupt()
-    with interrupt.watch(robots=True):
+    with interrupt.watch(robots_move=True):
         signal.raise_signal(signal.SIGTSTP)
         signal.raise_signal(signal.SIGTTOU)
     assert interrupt.count == 1
@@ -185,7 +185,7 @@ def test_signals_that_a_system_lacks_are_not_asked_for(monkeypatch):
     for name in ("SIGTSTP", "SIGTTIN", "SIGTTOU"):
         monkeypatch.delattr(signal, name)
     interrupt = Interrupt()
-    with interrupt.watch(robots=True):
+    with interrupt.watch(robots_move=True):
         signal.raise_signal(signal.SIGINT)
     assert interrupt.requested
 

@@ -12,8 +12,8 @@ from tetractl.core.poses import Observation, Poses
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.run.model_changes import (
     FITS_AGAIN_AFTER_S,
-    HOST_DELAY,
-    LATE_ROBOT_FOR_S,
+    HOST_DELAY_FIELDS,
+    LATE_ROBOT_DURATION_S,
     NOISE_UNSTATED,
     ModelMonitor,
     StatedModel,
@@ -143,7 +143,7 @@ def test_the_delay_by_which_a_host_predicts_headings_is_named(name, named):
     """Regression: with a true delay of 0.1 s, of which the host knew 7 ms, bodies came over the
     edge in 5 of 20 trials, and only controller.dead_time was asked for."""
     stated = stated_model(load_spec(ROOT / "experiments" / f"{name}.yaml").experiment)
-    assert (HOST_DELAY in stated.delays) == named
+    assert (HOST_DELAY_FIELDS in stated.delay_fields) == named
 
 
 def test_a_robot_that_stands_is_named_once():
@@ -181,7 +181,7 @@ ALIKE = with_dead_times(0.11, 0.11, 0.11)
 
 def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
     """Regression: 0.15 s were not said, and 0.4 s as a robot that stands."""
-    late_s = 6 + LATE_ROBOT_FOR_S
+    late_s = 6 + LATE_ROBOT_DURATION_S
     times_s = 6, late_s - 0.1, late_s
     told = said((0, FITS), *[(s, LATE) for s in times_s], (late_s + 1, ALIKE), (19, LATE))
     assert told == [
@@ -216,7 +216,7 @@ def test_no_value_is_reported_while_the_model_does_not_fit():
 
 def test_a_robot_that_is_late_for_a_moment_is_not_reported():
     """While the filter starts its bank of hypotheses again, the dead times differ."""
-    short_s = 6 + LATE_ROBOT_FOR_S - 0.1
+    short_s = 6 + LATE_ROBOT_DURATION_S - 0.1
     times_s = 6, short_s
     late = [(s, LATE) for s in times_s]
     assert said((0, FITS), *late, (short_s, ALIKE), (short_s + 0.1, LATE)) == []

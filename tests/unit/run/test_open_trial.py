@@ -193,7 +193,7 @@ def test_its_first_observation_is_at_the_starts():
 def test_a_dropped_trial_says_nothing(capsys):
     trial = tetractl.open_trial(SPEC)
     drive(trial, 2)
-    asked = trial._controller.asked
+    asked = trial._controller.messages_to_script
     del trial
     gc.collect()
     assert isinstance(asked.get(timeout=60), DroppedError)  # its robots stand, its thread has ended
@@ -203,7 +203,9 @@ def test_a_dropped_trial_says_nothing(capsys):
 def test_a_trial_that_is_broken_off_has_ended():
     trial = tetractl.open_trial(SPEC)
     trial.step(0.1)
-    trial._controller.asked.put(KeyboardInterrupt())  # as if Ctrl-C came amid the next step
+    trial._controller.messages_to_script.put(
+        KeyboardInterrupt()
+    )  # as if Ctrl-C came amid the next step
     with pytest.raises(KeyboardInterrupt):
         trial.step(0.1)
     with pytest.raises(UsageError, match="cut short"):

@@ -10,7 +10,12 @@ from testkit.bounded import best_plan, spec
 from testkit.paths import ROOT
 
 from tetractl.core.registries import REGISTRIES
-from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
+from tetractl.run.plausibility import (
+    CheckContext,
+    find_warnings,
+    targets_beyond_plan,
+    targets_out_of_reach,
+)
 from tetractl.spec.base import ANGLE, Model
 from tetractl.spec.load import load_spec, parse_contents, parse_spec
 from tetractl.spec.loaded_spec import resolved_yaml
@@ -301,7 +306,7 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
         rng = np.random.default_rng(seed)
         experiment = spec(rng, robots=2, signals=int(rng.integers(10, 40)), kind="apart")
         case = CheckContext(experiment)
-        if [*out_of_reach(case), *beyond_the_plan(case)]:
+        if [*targets_out_of_reach(case), *targets_beyond_plan(case)]:
             warned.add(seed)
         if best_plan(experiment) < 1:
             solved.add(seed)

@@ -10,7 +10,7 @@ from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
 from tetractl.core.commands import Stop
 from tetractl.lab.preflight import Preflight
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.practice import FACT, PRACTICE_S, PacedSteps, Practice, practise
+from tetractl.run.practice import FACT_NAME, PRACTICE_S, PacedSteps, Practice, practise
 from tetractl.spec.lab_section import LabLimits
 from tetractl.spec.load import parse_spec
 
@@ -41,16 +41,18 @@ def test_a_computer_that_plans_in_time_is_ready():
     assert set(practice.delays_ns) == {PERIOD_NS // 2}
     steps = PRACTICE_S * SECOND / PERIOD_NS
     assert steps / 2 <= len(practice.delays_ns) <= steps + 1
-    findings = practice.added_to(GOOD, LIMITS)
+    findings = practice.add_to(GOOD, LIMITS)
     assert findings.can_start
     assert findings.warnings == ()
-    assert findings.facts[FACT].startswith("median 100 ms, at most 100 ms, for a period of 200 ms")
+    assert findings.facts[FACT_NAME].startswith(
+        "median 100 ms, at most 100 ms, for a period of 200 ms"
+    )
 
 
 def test_a_computer_that_plans_late_is_a_problem():
     """Regression: `lab check` called a computer ready on which every trial was aborted."""
     practice = practise(SPEC, HostClock(lambda: 3 * PERIOD_NS), silence)
-    findings = practice.added_to(GOOD, LIMITS)
+    findings = practice.add_to(GOOD, LIMITS)
     (problem,) = findings.problems
     count = len(practice.delays_ns)
     assert problem == (
@@ -64,7 +66,7 @@ def test_a_computer_that_plans_late_is_a_problem():
 )
 def test_few_late_steps_are_a_warning(late, level):
     delays_ns = (*[PERIOD_NS + 1] * late, *[PERIOD_NS] * (10 - late))
-    findings = Practice(PERIOD_NS, delays_ns, 0).added_to(GOOD, LIMITS)
+    findings = Practice(PERIOD_NS, delays_ns, 0).add_to(GOOD, LIMITS)
     assert bool(findings.problems) == (level == "problem")
     assert bool(findings.warnings) == (level == "warning")
 
@@ -73,8 +75,8 @@ def test_few_late_steps_are_a_warning(late, level):
 def test_a_camera_that_is_not_read_while_steps_are_planned_is_a_problem(ms):
     silences = iter([8 * MILLISECOND, ms * MILLISECOND])
     practice = practise(SPEC, HostClock(lambda: 0), lambda: next(silences, 8 * MILLISECOND))
-    assert practice.silence_ns == ms * MILLISECOND
-    findings = practice.added_to(GOOD, LIMITS)
+    assert practice.longest_silence_ns == ms * MILLISECOND
+    findings = practice.add_to(GOOD, LIMITS)
     assert findings.can_start == (ms == 99)
     assert all("no frame was read for 101 ms" in problem for problem in findings.problems)
 
@@ -89,12 +91,12 @@ def test_a_signal_ends_the_practice():
 
 def test_the_median_and_the_longest_step_are_stated():
     delays_ns = tuple(ms * MILLISECOND for ms in (20, 170, 30, 40, 90))
-    findings = Practice(PERIOD_NS, delays_ns, 0).added_to(GOOD, LIMITS)
-    assert findings.facts[FACT].startswith(
+    findings = Practice(PERIOD_NS, delays_ns, 0).add_to(GOOD, LIMITS)
+    assert findings.facts[FACT_NAME].startswith(
         "median 40 ms, at most 170 ms, for a period of 200 ms, in 5 "
     )
     assert (findings.problems, findings.warnings) == ((), ())
-    assert FACT not in Practice(PERIOD_NS, (), 0).added_to(GOOD, LIMITS).facts
+    assert FACT_NAME not in Practice(PERIOD_NS, (), 0).add_to(GOOD, LIMITS).facts
 
 
 # ---- The steps one by one ----
@@ -145,7 +147,7 @@ def test_steps_before_which_robots_stood_have_no_delay():
     steps.give(2, PERIOD_NS)
     steps.give(3, PERIOD_NS // 8)
     assert steps.paced.delays_ns == [PERIOD_NS // 2, PERIOD_NS // 4, PERIOD_NS // 8]
-    assert steps.paced.steps == 6
+    assert steps.paced.step_count == 6
 
 
 def test_the_longest_silence_is_kept():
@@ -153,7 +155,7 @@ def test_the_longest_silence_is_kept():
     for k, silent_ns in enumerate((5, 90, 20)):
         steps.silent_ns = silent_ns
         steps.give(k)
-    assert steps.paced.silence_ns == 90
+    assert steps.paced.longest_silence_ns == 90
 
 
 def test_the_practice_ends_before_a_step_that_would_end_too_late():
@@ -171,15 +173,15 @@ def test_the_practice_ends_before_a_step_that_would_end_too_late():
 @pytest.mark.parametrize(("ms", "starts"), [(100, True), (101, False)])
 def test_a_silence_counts_from_the_time_after_which_robots_stop(ms, starts):
     assert LIMITS.stale == 0.1
-    findings = Practice(PERIOD_NS, (), ms * MILLISECOND).added_to(GOOD, LIMITS)
+    findings = Practice(PERIOD_NS, (), ms * MILLISECOND).add_to(GOOD, LIMITS)
     assert findings.can_start == starts
 
 
 def test_earlier_findings_are_kept():
     before = replace(GOOD, problems=("no radio",), warnings=("old",), facts={"camera": "fake"})
-    findings = Practice(PERIOD_NS, (1, 2), SECOND).added_to(before, LIMITS)
+    findings = Practice(PERIOD_NS, (1, 2), SECOND).add_to(before, LIMITS)
     assert findings.problems[0] == "no radio"
     assert len(findings.problems) == 2
     assert findings.warnings == ("old",)
-    assert set(findings.facts) == {"camera", FACT}
+    assert set(findings.facts) == {"camera", FACT_NAME}
     assert before.facts == {"camera": "fake"}

@@ -8,7 +8,7 @@ from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
 from tetractl.run import store
 from tetractl.run.logged_trial import log_path
-from tetractl.run.store import RecordStore, Store, set_aside
+from tetractl.run.store import RecordStore, Store, set_aside_logs
 from tetractl.tools.files import make_folder
 
 
@@ -21,7 +21,7 @@ def log(folder, index, outcome=Outcome.ARRIVED, **fields):
 def trials_to_run(experiment, folder):
     store = Store.of_batch(folder, experiment)
     store.read(resume=True)
-    return store.lacking
+    return store.unfinished
 
 
 def spec(count=4, seed=None, **fields):
@@ -43,7 +43,7 @@ def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path, monkeypatch)
     cut.write_bytes(cut.read_bytes()[:-300])
     assert trials_to_run(spec(8), tmp_path) == [1, 4, 5, 6, 7]  # 3 would abort again
     assert trials_to_run(spec(3), tmp_path) == [1]
-    monkeypatch.setattr(store, "code_of", lambda experiment: "mended")
+    monkeypatch.setattr(store, "code_hash", lambda experiment: "mended")
     assert trials_to_run(spec(8), tmp_path) == [1, 3, 4, 5, 6, 7]
 
 
@@ -51,10 +51,10 @@ def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):
     path = log_path(tmp_path, 3)
     for content in (b"one", b"two", b"three"):
         path.with_name(path.name + ".part").write_bytes(content)
-        set_aside(tmp_path, 3)
+        set_aside_logs(tmp_path, 3)
     path.write_bytes(b"whole")
-    set_aside(tmp_path, 3)
-    set_aside(tmp_path, 3)  # nothing left
+    set_aside_logs(tmp_path, 3)
+    set_aside_logs(tmp_path, 3)  # nothing left
     contents = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert contents == {
         "trial-003.attempt-1.mcap.part": b"one",
@@ -69,7 +69,7 @@ def test_a_recovered_log_is_set_aside_with_its_source(tmp_path):
     path = log_path(tmp_path, 3)
     path.with_name(path.name + ".part").write_bytes(b"torn")
     path.with_name("trial-003.recovered.mcap").write_bytes(b"saved")
-    set_aside(tmp_path, 3)
+    set_aside_logs(tmp_path, 3)
     assert {path.name for path in tmp_path.iterdir()} == {
         "trial-003.attempt-1.mcap.part",
         "trial-003.attempt-1.recovered.mcap",
@@ -86,7 +86,7 @@ def records(folder, identity="spec 1"):
 def keep(folder, number):
     records = RecordStore(folder, "spec 1", ("day", "ended"))
     with records.opened():
-        records.add(number, {"day": number, "ended": "arrived"})
+        records.add_record(number, {"day": number, "ended": "arrived"})
 
 
 def test_records_of_another_spec_are_refused(tmp_path):
@@ -166,13 +166,13 @@ def test_an_abort_counts_only_in_virtual_time_and_by_the_same_code(tmp_path, mon
     finished = outcome.complete or outcome is Outcome.ABORTED
     opened = Store.of_batch(tmp_path, experiment)
     opened.read()
-    assert opened.lacking == ([] if finished else [0])
+    assert opened.unfinished == ([] if finished else [0])
     assert opened.aborted == ([0] if outcome is Outcome.ABORTED else [])
     real = type("RealTime", (), {"real_time": True})()
     folder = opened.batches[""]
     monkeypatch.setattr(folder, "experiment", experiment.model_copy(update={"plant": real}))
     folder.read()
-    assert folder.lacking == ([] if outcome.complete else [0])
+    assert folder.unfinished == ([] if outcome.complete else [0])
 
 
 def test_trials_that_other_code_has_run_are_outdated(tmp_path, monkeypatch):
@@ -181,11 +181,11 @@ def test_trials_that_other_code_has_run_are_outdated(tmp_path, monkeypatch):
     opened = Store.of_batch(tmp_path, spec(4))
     opened.read()
     assert opened.batches[""].outdated == []
-    monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
+    monkeypatch.setattr(store, "code_hash", lambda experiment: "newer")
     newer = Store.of_batch(tmp_path, spec(4))
     newer.read()
     assert newer.batches[""].outdated == [0, 2]
-    assert newer.lacking == [1, 3]
+    assert newer.unfinished == [1, 3]
 
 
 @pytest.mark.parametrize(
@@ -218,16 +218,16 @@ def test_a_refused_run_creates_no_folder_and_an_opened_one_has_it(tmp_path):
 def test_the_place_of_a_trial_is_free_of_its_earlier_log_and_its_result_is_kept(tmp_path):
     log(tmp_path, 0, Outcome.INTERRUPTED)
     opened = Store.of_batch(tmp_path / "x", spec())
-    assert opened.place("", 3) == tmp_path / "x"
+    assert opened.prepare_folder("", 3) == tmp_path / "x"
     assert (tmp_path / "x").is_dir()
     opened = Store.of_batch(tmp_path, spec())
     opened.read()
-    assert 0 in opened.lacking
-    folder = opened.place("", 0)
+    assert 0 in opened.unfinished
+    folder = opened.prepare_folder("", 0)
     assert not log_path(folder, 0).exists()
     assert (folder / "trial-000.attempt-1.mcap").exists()
     log(folder, 0)
-    opened.add("", 0)
-    assert 0 not in opened.lacking
-    opened.add("", 1)  # it has no log
-    assert 1 in opened.lacking
+    opened.add_result("", 0)
+    assert 0 not in opened.unfinished
+    opened.add_result("", 1)  # it has no log
+    assert 1 in opened.unfinished

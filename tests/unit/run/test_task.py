@@ -8,7 +8,7 @@ from testkit.running import QUICK
 from tetractl.run import task
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path
-from tetractl.run.task import OtherCodeError, Task, batch_tasks, code_of, run_task
+from tetractl.run.task import OtherCodeError, Task, batch_tasks, code_hash, run_task
 from tetractl.spec.load import parse_spec
 
 SPEC = parse_spec(QUICK, "quick.yaml")
@@ -16,7 +16,7 @@ SPEC = parse_spec(QUICK, "quick.yaml")
 
 def test_a_batch_has_a_task_for_each_trial_that_is_asked_for():
     tasks = batch_tasks(SPEC, [2, 0])
-    assert [(one.trial, one.count, one.key) for one in tasks] == [
+    assert [(one.trial, one.trial_count, one.key) for one in tasks] == [
         (2, SPEC.experiment.trials.count, ("", 2)),
         (0, SPEC.experiment.trials.count, ("", 0)),
     ]
@@ -25,7 +25,7 @@ def test_a_batch_has_a_task_for_each_trial_that_is_asked_for():
 
 @pytest.mark.parametrize(("code", "runs"), [("", True), ("same", True), ("another", False)])
 def test_only_the_code_of_the_task_runs_it_and_no_code_means_any(tmp_path, code, runs):
-    stated = code_of(SPEC.experiment) if code == "same" else code
+    stated = code_hash(SPEC.experiment) if code == "same" else code
     one = Task(1, 3, pickle.dumps(SPEC), "arm", stated)
     if runs:
         finished = run_task(one, tmp_path, Interrupt())
@@ -50,6 +50,6 @@ def test_the_wall_time_does_not_count_loading_and_compiling(tmp_path, monkeypatc
         nonlocal now_s
         now_s += 2
 
-    monkeypatch.setattr(task, "_prepared", prepared)
+    monkeypatch.setattr(task, "_load_spec", prepared)
     monkeypatch.setattr(task, "run_logged", run_logged)
     assert run_task(Task(0, 1, b""), tmp_path, Interrupt()).wall_s == 2.0

@@ -13,8 +13,8 @@ from scipy import stats
 from tetractl.statistics.estimate import (
     ArmErrors,
     Interval,
+    are_numeric,
     distributions,
-    numeric,
     percent,
     proportion_interval,
     published_distribution,
@@ -270,7 +270,7 @@ def test_wilsons_interval_holds_the_fraction_and_mirrors_its_complement(n, data)
 )
 def test_only_numbers_can_be_an_axis(values, are_numbers):
     arms = [ArmErrors.from_errors(v, str(v), 1, np.array([1.0, 2.0])) for v in values]
-    assert numeric(arms) == are_numbers
+    assert are_numeric(arms) == are_numbers
 
 
 def test_an_arm_has_the_distribution_of_its_errors_and_its_bound():

@@ -13,7 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.log.read.trial_log import Origin
 from tetractl.statistics.as_json import batch_items
 from tetractl.statistics.describe import contrast
-from tetractl.statistics.flagged import flagged, turned_otherwise, unconfirmed_headings
+from tetractl.statistics.flagged import flagged, turning_remarks, unconfirmed_heading_remarks
 from tetractl.statistics.tables import summary, texts_by_label
 from tetractl.tools.table.terminal_table import print_tables
 
@@ -60,7 +60,7 @@ def turning_by(*rates):
 def test_a_robot_that_turns_by_itself_has_no_confirmed_heading():
     """Regression: a pose that turned slowly while its robot drove passed without a word."""
     trial = turning_by(0.03, -0.1, 0.0)
-    (text,) = unconfirmed_headings([trial])[trial.log]
+    (text,) = unconfirmed_heading_remarks([trial])[trial.log]
     assert text.startswith(
         "the heading of blue is not confirmed: it turned by -0.10 rad/s on its own"
     )
@@ -70,15 +70,15 @@ def test_a_robot_that_turns_by_itself_has_no_confirmed_heading():
 
 
 def test_headings_of_robots_that_do_not_turn_are_confirmed():
-    assert not unconfirmed_headings([turning_by(0.03, -0.03, 0.0)] * 3)
+    assert not unconfirmed_heading_remarks([turning_by(0.03, -0.03, 0.0)] * 3)
 
 
 def test_robots_with_enough_trials_are_compared_instead():
     """Wheels that differ turn a robot in each of its trials."""
     trials = emulated_trials(8)
-    assert unconfirmed_headings(trials[:3])
-    assert not unconfirmed_headings(trials)
-    assert not turned_otherwise(trials)
+    assert unconfirmed_heading_remarks(trials[:3])
+    assert not unconfirmed_heading_remarks(trials)
+    assert not turning_remarks(trials)
 
 
 FALSE_TURNS = {3: [0.1, 0.0, 0.0], 7: [0.0, 0.0, 0.2], 9: [0.0, -0.15, 0.0]}
@@ -86,7 +86,7 @@ FALSE_TURNS = {3: [0.1, 0.0, 0.0], 7: [0.0, 0.0, 0.2], 9: [0.0, -0.15, 0.0]}
 
 def test_a_trial_in_which_a_robot_turns_unlike_in_the_others_is_marked():
     trials = emulated_trials(20, false_turns=FALSE_TURNS)
-    marks = turned_otherwise(trials)
+    marks = turning_remarks(trials)
     assert sorted(marks) == ["trial-003.mcap", "trial-007.mcap", "trial-009.mcap"]
     (of_trial_3,) = marks["trial-003.mcap"]
     assert of_trial_3.startswith("green ")
@@ -113,7 +113,7 @@ def test_the_summary_says_which_trials_are_marked_and_why():
 def test_honest_batches_are_hardly_ever_marked(n, spread):
     """In 3 % of small batches and 1 % of others one is marked by chance: at most 2 of 60."""
     batches = [emulated_trials(n, spread, seed) for seed in range(60)]
-    marked = [trials for trials in batches if turned_otherwise(trials)]
+    marked = [trials for trials in batches if turning_remarks(trials)]
     assert len(marked) <= 2
 
 
@@ -160,7 +160,7 @@ def test_robots_that_did_not_drive_and_older_logs_are_not_marked():
     trials = emulated_trials(9, false_turns={1: [9.0, 0.0, 0.0]})
     trials[1] = with_verdict(trials[1], turn_std=(np.inf, ERROR_RAD_S, ERROR_RAD_S))
     trials[2] = with_verdict(trials[2], turn=(), turn_std=())
-    assert turned_otherwise(trials) == {}
+    assert turning_remarks(trials) == {}
     usual, green_stood, older = batch_items(group(trials))["trials"][:3]
     assert usual["turn_blue_rad_s"] == trials[0].result.verdict.turn[1]
     assert usual["turn_std_blue_rad_s"] == ERROR_RAD_S

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tetractl.statistics.estimate import distributions
 from tetractl.statistics.mean_difference import (
-    EXACT,
+    EXACT_VALUES_MAX,
     detectable,
     from_both_intervals,
     holm,
@@ -116,7 +116,7 @@ def test_ranks_of_few_values_without_ties_are_exact():
 def test_the_ranks_of_many_values_are_asymptotic():
     rng = np.random.default_rng(1)
     ours = rng.normal(0, 1, 20)
-    many = rng.normal(0.3, 1, EXACT)
+    many = rng.normal(0.3, 1, EXACT_VALUES_MAX)
     test = scipy.stats.mannwhitneyu(ours, many, method="asymptotic", use_continuity=False)
     assert rank_sum(ours, many) == test.pvalue
 

@@ -13,12 +13,12 @@ from tetractl.run import store
 from tetractl.statistics.open_batch import (
     Batch,
     Damaged,
-    counts,
     differences,
     errors_known,
     experiment_of,
+    find_sources,
+    is_counted,
     open_batch,
-    sources,
 )
 
 
@@ -38,7 +38,7 @@ def trial_numbers(batch):
 
 def sizes_of(paths):
     """The number of logs of each batch, by its name."""
-    listed = [(source.name, len(source.logs)) for source in sources(paths)]
+    listed = [(source.name, len(source.logs)) for source in find_sources(paths)]
     assert len(dict(listed)) == len(listed)
     return dict(listed)
 
@@ -70,7 +70,7 @@ def test_a_trial_that_failed_is_counted_once(tmp_path):
 @pytest.mark.long
 def test_logs_that_were_set_aside_do_not_count(tmp_path, monkeypatch):
     arm = arm_of_three_trials(tmp_path)
-    monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
+    monkeypatch.setattr(store, "code_hash", lambda experiment: "newer")
     run(tmp_path, SMALL, rerun_outdated=True)
     assert len(list(arm.glob("*.attempt-1.mcap"))) == 3
     assert trial_numbers(open_batch([arm])) == [0, 1, 2]
@@ -79,7 +79,7 @@ def test_logs_that_were_set_aside_do_not_count(tmp_path, monkeypatch):
 def test_the_folder_of_a_study_is_a_batch_per_arm(tmp_path):
     study = arm_of_three_trials(tmp_path).parent
     assert sizes_of([str(study)]) == {"dead_time=0": 3, "dead_time=0.1": 3}
-    arms = [source.read() for source in sources([str(study)])]
+    arms = [source.read() for source in find_sources([str(study)])]
     assert [len(arm.trials) for arm in arms] == [3, 3]
 
 
@@ -102,13 +102,13 @@ def test_a_folder_of_folders_with_logs_is_a_batch_for_each(tmp_path):
     demo = str(tmp_path / "demo")
     assert sizes_of([demo]) == {"ours": 1, "paper": 1}
     with pytest.raises(UsageError, match="holds 2 batches"):
-        sources([demo, elsewhere])
+        find_sources([demo, elsewhere])
 
 
 def test_a_pattern_pools_what_it_matches(tmp_path):
     folder_with_a_log(tmp_path / "demo/ours")
     folder_with_a_log(tmp_path / "demo/paper")
-    assert len(sources([f"{tmp_path}/demo/*/*.mcap"])) == 1
+    assert len(find_sources([f"{tmp_path}/demo/*/*.mcap"])) == 1
 
 
 # ---- What makes trials one batch ----
@@ -224,20 +224,20 @@ def test_a_batch_is_whole_unless_a_trial_is_damaged_or_lost():
 
 def test_a_trial_counts_if_it_ran_to_its_end_with_known_errors_in_a_whole_log():
     (first,) = batch([[1.0]])
-    assert counts(first)
-    assert not counts(replace(first, recovered=True))
+    assert is_counted(first)
+    assert not is_counted(replace(first, recovered=True))
     assert errors_known(replace(first, recovered=True))
     for outcome in (Outcome.ABORTED, Outcome.INTERRUPTED):
-        assert not counts(replace(first, result=replace(first.result, outcome=outcome)))
+        assert not is_counted(replace(first, result=replace(first.result, outcome=outcome)))
     for unknown in ({"total_error": float("nan")}, {"robot_errors": (float("inf"),)}):
-        assert not counts(replace(first, result=replace(first.result, **unknown)))
+        assert not is_counted(replace(first, result=replace(first.result, **unknown)))
 
 
 def test_progress_is_told_after_each_log_and_what_cannot_be_read_is_kept(tmp_path):
     folder_with_a_log(tmp_path / "a")
     folder_with_a_log(tmp_path / "b")
     told = []
-    (source,) = sources([f"{tmp_path}/*/trial-000.mcap"])
+    (source,) = find_sources([f"{tmp_path}/*/trial-000.mcap"])
     damaged = source.read(lambda done, count: told.append((done, count))).damaged
     assert told == [(1, 2), (2, 2)]
     assert [log.problem for log in damaged] == ["the file is empty"] * 2

@@ -13,7 +13,7 @@ from tetractl.log.format.channels import STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.statistics.trial_tables import TABLES, of_log, poses
+from tetractl.statistics.trial_tables import TABLES, poses, read_tables
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def log(path):
 @pytest.fixture(scope="module")
 def columns(path):
     """The columns of each table, by the table's name."""
-    tables, damage = of_log(path, TABLES)
+    tables, damage = read_tables(path, TABLES)
     assert damage is None
     return {name: table.as_dict() for name, table in tables.items()}
 
@@ -100,13 +100,13 @@ def _estimate_one_robot_less(step):
 )
 def test_columns_that_do_not_fit_are_one_line(path, tmp_path, spoil):
     contents = scan(path)
-    entry = contents.by_topic[STEP][-1]
+    entry = contents.entries_by_topic[STEP][-1]
     step = ControllerStep.FromString(entry.data)
     spoil(step)
     replaced = {entry: entry._replace(data=step.SerializeToString())}
     spoilt = rewrite(contents, tmp_path / "trial.mcap", replaced)
     with pytest.raises(LogError, match="contains a value that tetractl never writes"):
-        of_log(spoilt, TABLES)
+        read_tables(spoilt, TABLES)
 
 
 def test_every_length_of_a_trial_has_its_unit_in_its_name(log, columns):
@@ -150,7 +150,7 @@ def test_the_table_of_events_has_each_message_with_its_time_and_level(log, colum
 
 
 def test_each_table_says_of_which_log_and_trial_it_is_first_and_only_those_asked_for_are_made(path):
-    tables, _ = of_log(path, {"poses", "events"})
+    tables, _ = read_tables(path, {"poses", "events"})
     assert list(tables) == ["poses", "events"]
     for table in tables.values():
         log_column, trial_column, *_ = table.columns
@@ -176,7 +176,7 @@ def test_robots_on_wheels_have_the_speeds_of_both_wheels_and_others_have_no_such
 ):
     assert not [name for name in columns["steps"] if name.startswith(("left_", "right_"))]
     wheeled = trial(steps=4, robots=2, frames=2, first=1, length=2, wheels={"radius": 40})
-    tables, _ = of_log(write(wheeled, tmp_path / "wheels.mcap"), {"steps"})
+    tables, _ = read_tables(write(wheeled, tmp_path / "wheels.mcap"), {"steps"})
     steps = tables["steps"].as_dict()
     for i, name in enumerate(("robot 0", "robot 1")):
         for side in ("left", "right"):

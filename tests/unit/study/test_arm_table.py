@@ -11,7 +11,7 @@ from tetractl.core.plan import Outcome
 from tetractl.statistics.estimate import distributions
 from tetractl.statistics.flagged import SAFETY
 from tetractl.study import arm_table, figure
-from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
+from tetractl.study.arm_table import arms_table, group_by_value, group_errors, write_table
 from tetractl.study.figure import study_figure, write_figures
 from tetractl.study.load_study import arm_name
 
@@ -45,14 +45,14 @@ def headline_of(figure):
 @pytest.mark.long
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
     arm = ran.loaded.arms[2]
-    group = group_of(ran.store, arm.name, [arm])
+    group = group_errors(ran.store, arm.name, [arm])
     assert group.errors.tolist() == errors(ran, arm)
     assert group.error == distribution_of(errors(ran, arm))
 
 
 def test_over_several_arms_trials_of_one_seed_count_once(ran):
     few = [arm for arm in ran.loaded.arms if arm.controller == "few"]
-    at_0, at_tenth = field_values(ran.store, "plant.dead_time", few)
+    at_0, at_tenth = group_by_value(ran.store, "plant.dead_time", few)
     assert at_0.value == 0
     assert at_tenth.value == 0.1
     for group in (at_0, at_tenth):
@@ -109,9 +109,9 @@ def test_the_table_counts_what_must_not_happen(ran, monkeypatch):
 
 def test_of_many_arms_the_first_are_listed_and_the_rest_are_counted(ran, monkeypatch):
     whole = arms_table(ran.loaded, ran.store)
-    monkeypatch.setattr(arm_table, "LISTED", 8)
+    monkeypatch.setattr(arm_table, "ARMS_LISTED_MAX", 8)
     assert arms_table(ran.loaded, ran.store).note == whole.note
-    monkeypatch.setattr(arm_table, "LISTED", 3)
+    monkeypatch.setattr(arm_table, "ARMS_LISTED_MAX", 3)
     table = arms_table(ran.loaded, ran.store)
     assert [row[0] for row in table.rows] == [row[0] for row in whole.rows][:3]
     assert table.note.endswith("; and 5 more arms, listed in the table of trials")
@@ -132,7 +132,7 @@ def test_only_trials_that_all_arms_of_a_group_have_count(ran, monkeypatch):
     first, second = ran.loaded.arms[:2]
     expected = np.delete(np.mean([errors(ran, first), errors(ran, second)], axis=0), 2)
     monkeypatch.delitem(ran.store.batches[second.name].results, 2)
-    group = group_of(ran.store, 1, [first, second])
+    group = group_errors(ran.store, 1, [first, second])
     assert group.errors == pytest.approx(expected)
     assert group.arms == 2
 

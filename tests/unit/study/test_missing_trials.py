@@ -6,7 +6,7 @@ from testkit.studies import STUDY, write
 from tetractl.core.errors import TetractlError
 from tetractl.study import missing_trials
 from tetractl.study.load_study import load_study
-from tetractl.study.missing_trials import dry_run, lacking, warm_up_arms
+from tetractl.study.missing_trials import dry_run, unfinished_tasks, warm_up_arms
 
 ARMS = 8
 TRIALS = 5
@@ -16,7 +16,7 @@ class FakeBatch:
     """Stands for the folder of an arm."""
 
     def __init__(self, lacking, outdated):
-        self.lacking = lacking
+        self.unfinished = lacking
         self.outdated = outdated
 
 
@@ -43,37 +43,37 @@ def keys(tasks):
 
 
 def test_nothing_is_run_where_nothing_is_missing(loaded):
-    assert lacking(loaded, store_of(loaded), rerun_outdated=True) == ([], {})
+    assert unfinished_tasks(loaded, store_of(loaded), rerun_outdated=True) == ([], {})
 
 
 def test_missing_trials_are_ordered_by_number_then_by_arm(loaded):
     first, second, third = (arm.name for arm in loaded.arms[:3])
     store = store_of(loaded, ([3, 1], []), ([1], []), ([0, 3], []))
-    tasks, outdated = lacking(loaded, store, rerun_outdated=False)
+    tasks, outdated = unfinished_tasks(loaded, store, rerun_outdated=False)
     assert keys(tasks) == [(third, 0), (first, 1), (second, 1), (first, 3), (third, 3)]
     assert outdated == {}
-    codes = {arm.name: arm.code for arm in loaded.arms}
-    assert all(task.code == codes[task.arm] for task in tasks)
+    codes = {arm.name: arm.code_hash for arm in loaded.arms}
+    assert all(task.code_hash == codes[task.arm] for task in tasks)
 
 
 @pytest.mark.parametrize("rerun", [True, False])
 def test_outdated_trials_are_counted_or_run_again(loaded, rerun):
     first, second = (arm.name for arm in loaded.arms[:2])
     store = store_of(loaded, ([4], [0, 2]), ([], []))
-    tasks, outdated = lacking(loaded, store, rerun)
+    tasks, outdated = unfinished_tasks(loaded, store, rerun)
     if rerun:
         assert keys(tasks) == [(first, 0), (first, 2), (first, 4)]
         assert outdated == {}
     else:
         assert keys(tasks) == [(first, 4)]
         assert outdated == {first: 2}
-    assert store.batches[first].lacking == [4]  # those of the folder stay
+    assert store.batches[first].unfinished == [4]  # those of the folder stay
     assert second not in outdated
 
 
 def test_a_dry_run_says_how_many_trials_each_arm_lacks(loaded, tmp_path):
     store = store_of(loaded, ([0, 1, 2], []), ([2], []))
-    tasks, _ = lacking(loaded, store, rerun_outdated=False)
+    tasks, _ = unfinished_tasks(loaded, store, rerun_outdated=False)
     table = dry_run(loaded, tmp_path / "out", tasks)
     assert table.title.startswith(f"quick as it would be run, 4 of {ARMS * TRIALS} trials into ")
     assert table.title.endswith("out")

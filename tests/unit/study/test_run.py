@@ -9,7 +9,7 @@ from testkit.studies import FAILING, SMALL, Watcher, run
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.run import logged_trial, store
 from tetractl.run.batch import OnFailure, run_batch
-from tetractl.run.executors import Here
+from tetractl.run.executors import InProcessExecutor
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path
 from tetractl.run.store import Store
@@ -45,13 +45,13 @@ def table_of(folder):
 def test_trials_come_first_over_all_arms(finished):
     arms = [arm.name for arm in finished.loaded.arms]
     assert finished.watcher.started == [(arm, trial) for trial in range(TRIALS) for arm in arms]
-    assert finished.watcher.endings[-1].left_s == 0
+    assert finished.watcher.endings[-1].remaining_s == 0
     assert finished.counts == (2 * TRIALS, 0, 0)
 
 
 def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
     before = table_of(done)
-    monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
+    monkeypatch.setattr(store, "code_hash", lambda experiment: "newer")
     ran = run(done, SMALL)
     assert ran.tasks == []
     assert ran.outdated == {OTHER_ARM: TRIALS, ARM: TRIALS}
@@ -60,7 +60,7 @@ def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
 
 def test_trials_of_outdated_code_are_run_again_on_demand(done, monkeypatch):
     before = table_of(done)
-    monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
+    monkeypatch.setattr(store, "code_hash", lambda experiment: "newer")
     ran = run(done, SMALL, rerun_outdated=True)
     assert len(ran.tasks) == 2 * TRIALS
     assert ran.outdated == {}
@@ -99,7 +99,7 @@ def test_the_log_of_another_arm_is_refused(done):
 def run_as_batch(folder, spec, trials):
     """Run trials of a spec as a batch of their own in a folder."""
     batch = Store.of_batch(folder, spec.experiment)
-    executor = Here(Interrupt())
+    executor = InProcessExecutor(Interrupt())
     with batch.opened(resume=False):
         run_batch(batch_tasks(spec, trials), batch, executor, Watcher(), on_failure=OnFailure.END)
 
@@ -143,7 +143,7 @@ class InterruptingObserver:
 
 def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(tmp_path):
     interrupt = Interrupt()
-    executor = Here(interrupt, [InterruptingObserver(interrupt)])
+    executor = InProcessExecutor(interrupt, [InterruptingObserver(interrupt)])
     ran = run(tmp_path, SMALL, executor=executor)
     assert ran.report.interrupted
     assert ran.counts == (1, 0, 5)
@@ -157,7 +157,7 @@ def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(tmp_path):
 def test_an_aborted_trial_is_finished_only_for_the_code_that_aborts_it(tmp_path, monkeypatch):
     assert len(run(tmp_path, FAILING).report.aborted) == 4
     assert run(tmp_path, FAILING).tasks == []
-    monkeypatch.setattr(store, "code_of", lambda experiment: "mended")
+    monkeypatch.setattr(store, "code_hash", lambda experiment: "mended")
     assert len(run(tmp_path, FAILING).tasks) == 4
 
 
@@ -171,7 +171,7 @@ def test_an_arm_is_a_batch_that_can_be_resumed_and_not_overwritten(done, finishe
     assert arm.name == ARM
     batch = Store.of_batch(done / "out" / ARM, arm.spec.experiment)
     batch.read()
-    assert batch.lacking == []
+    assert batch.unfinished == []
     with pytest.raises(UsageError, match="holds logs already"):
         batch.read(resume=False)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tetractl.verification.dish_pictures import LOGGED_SIDE_MAX, SHOWN_SIDE, DishPictures
+from tetractl.verification.dish_pictures import LOGGED_SIDE_MAX_PX, SHOWN_SIDE_MAX_PX, DishPictures
 
 
 class Camera:
@@ -57,8 +57,8 @@ def test_the_corners_are_those_of_the_first_readable_image_in_the_specs_unit(met
 
 
 def test_an_image_that_cannot_be_read_is_left_out():
-    too_wide = jpeg(LOGGED_SIDE_MAX + 1, 1)
-    good = jpeg(LOGGED_SIDE_MAX, 1)
+    too_wide = jpeg(LOGGED_SIDE_MAX_PX + 1, 1)
+    good = jpeg(LOGGED_SIDE_MAX_PX, 1)
     torn = [(1, b""), (2, jpeg()[:60]), (3, jpeg(kind="PNG")), (4, too_wide)]
     assert DishPictures(log_of(torn)).times_ns == []
     assert DishPictures(log_of([*torn, (5, good)])).times_ns == [5]
@@ -92,7 +92,7 @@ def test_the_image_of_a_time_is_the_last_one_taken_until_then(when, which):
     assert DishPictures(log).index_at(when) == which
 
 
-@pytest.mark.parametrize(("size", "longer"), [((1500, 900), SHOWN_SIDE), ((300, 500), 500)])
+@pytest.mark.parametrize(("size", "longer"), [((1500, 900), SHOWN_SIDE_MAX_PX), ((300, 500), 500)])
 def test_large_images_are_reduced_and_keep_their_shape_and_small_ones_stay(size, longer):
     pictures = DishPictures(log_of([(1, jpeg(*size))]))
     height, width = pictures.grey(0).shape

@@ -14,13 +14,13 @@ from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.lab_section import LabLimits
 from tetractl.spec.load import parse_contents
 from tetractl.verification.guard_replay import (
-    KERNEL_CHECKS,
+    COMMON_CHECKS,
     TICK_NS,
     WHEEL_CHECKS,
     camera_frame,
-    events_of,
-    limits_of,
+    lab_limits,
     observe_log,
+    ordered_events,
 )
 
 pytestmark = pytest.mark.slow
@@ -65,12 +65,12 @@ def test_robots_that_obey_are_left_alone_from_the_first_direction_to_the_stop(lo
 
 
 def test_wheels_are_checked_only_if_the_log_has_their_speeds(log):
-    assert observe_log(log, LIMITS).checks == KERNEL_CHECKS + WHEEL_CHECKS
-    assert observe_log(with_rows(three_robots(), slice(0, 30)), LIMITS).checks == KERNEL_CHECKS
+    assert observe_log(log, LIMITS).checks == COMMON_CHECKS + WHEEL_CHECKS
+    assert observe_log(with_rows(three_robots(), slice(0, 30)), LIMITS).checks == COMMON_CHECKS
 
 
 def test_without_limits_those_of_the_log_count(log):
-    assert limits_of(log) == LabLimits()
+    assert lab_limits(log) == LabLimits()
     report = observe_log(log)
     assert report == observe_log(log, LabLimits())
     assert report.interventions
@@ -144,7 +144,7 @@ def test_after_a_stop_outside_of_the_steps_nothing_is_watched(log):
 
 
 def test_frames_and_commands_come_in_the_order_of_their_times_and_a_frame_first(log):
-    events = events_of(log)
+    events = ordered_events(log)
     assert [event.t_ns for event in events] == sorted(event.t_ns for event in events)
     assert len(events) == len(log.frames) + len(log.commands)
     at_start = [event.is_command for event in events if event.t_ns == 0]
@@ -155,7 +155,7 @@ def test_frames_and_commands_come_in_the_order_of_their_times_and_a_frame_first(
 
 def test_events_have_the_time_at_which_the_host_received_a_frame(log):
     late = replace(log, received_ns=log.received_ns + 7_000_000)
-    first = events_of(late)[:2]
+    first = ordered_events(late)[:2]
     assert [(event.t_ns, event.is_command) for event in first] == [(0, True), (7_000_000, False)]
 
 
@@ -183,4 +183,4 @@ def test_logged_wheel_speeds_are_checked_and_others_are_not(log):
     assert noticed & set(WHEEL_CHECKS)
     unknown = [replace(command, left=None, right=None) for command in log.commands]
     blind = observe_log(replace(standing, commands=tuple(unknown)), LabLimits())
-    assert blind.checks == KERNEL_CHECKS
+    assert blind.checks == COMMON_CHECKS

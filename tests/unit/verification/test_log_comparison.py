@@ -37,18 +37,18 @@ def with_records(log, change):
 
 def with_entry(log, topic, number, **fields):
     """The log with some fields of one message of a topic replaced."""
-    entry = log.by_topic[topic][number]
+    entry = log.entries_by_topic[topic][number]
     return with_records(log, lambda r: entry._replace(**fields) if r is entry else r)
 
 
 def without_entry(log, topic, number):
-    entry = log.by_topic[topic][number]
+    entry = log.entries_by_topic[topic][number]
     return with_records(log, lambda record: None if record is entry else record)
 
 
 def step_with(log, number, **fields):
     """The log with some fields of the message of a control step replaced."""
-    message = ControllerStep.FromString(log.by_topic[STEP][number].data)
+    message = ControllerStep.FromString(log.entries_by_topic[STEP][number].data)
     for name, value in fields.items():
         setattr(message, name, value)
     return with_entry(log, STEP, number, data=message.SerializeToString())
@@ -70,7 +70,7 @@ def test_a_changed_step_is_named_with_its_number_and_field(log):
 
 
 def test_a_changed_field_outside_of_steps_is_named_by_its_channel_and_message(log):
-    message = ResultMessage.FromString(log.by_topic[RESULT][0].data)
+    message = ResultMessage.FromString(log.entries_by_topic[RESULT][0].data)
     message.total_error += 1
     changed = with_entry(log, RESULT, 0, data=message.SerializeToString())
     ((step, field, _),) = found(log, changed)
@@ -82,14 +82,14 @@ def test_a_message_that_the_log_lacks_is_missing_at_the_end_of_its_channel(log, 
     """The messages behind it move up, and the first of them is the difference."""
     differences = found(log, without_entry(log, COMMANDS, number))
     assert [field.partition("[")[0] for _, field, _ in differences] == [COMMANDS]
-    last = len(log.by_topic[COMMANDS]) - 1
+    last = len(log.entries_by_topic[COMMANDS]) - 1
     assert found(log, without_entry(log, COMMANDS, last)) == [
         (None, f"{COMMANDS}[{last}]", "missing")
     ]
 
 
 def test_a_message_that_only_the_log_has_does_not_belong_to_the_trial(log):
-    last = len(log.by_topic[FRAMES]) - 1
+    last = len(log.entries_by_topic[FRAMES]) - 1
     assert found(without_entry(log, FRAMES, last), log) == [
         (None, f"{FRAMES}[{last}]", "does not belong to this trial")
     ]
@@ -97,7 +97,7 @@ def test_a_message_that_only_the_log_has_does_not_belong_to_the_trial(log):
 
 @pytest.mark.parametrize("field", ["log_ns", "publish_ns"])
 def test_each_of_the_two_times_of_a_message_has_to_agree(log, field):
-    entry = log.by_topic[COMMANDS][1]
+    entry = log.entries_by_topic[COMMANDS][1]
     times = {"log_ns": entry.log_ns, "publish_ns": entry.publish_ns}
     changed = times | {field: times[field] + 1}
     expected = (
@@ -109,7 +109,7 @@ def test_each_of_the_two_times_of_a_message_has_to_agree(log, field):
 
 
 def test_bytes_that_no_field_shows_differ_and_bytes_that_are_no_message_are_named(log):
-    unknown_field = log.by_topic[STEP][1].data + b"\xf8\x3e\x01"
+    unknown_field = log.entries_by_topic[STEP][1].data + b"\xf8\x3e\x01"
     assert found(log, with_entry(log, STEP, 1, data=unknown_field)) == [
         (1, f"{STEP}[1]", "has other bytes")
     ]
@@ -121,7 +121,7 @@ def test_bytes_that_no_field_shows_differ_and_bytes_that_are_no_message_are_name
 def test_only_the_first_difference_of_a_channel_is_told_and_steps_come_first(log):
     changed = step_with(step_with(log, 1, cost=1.5), 3, cost=1.5)
     changed = without_entry(changed, FRAMES, 0)
-    changed = without_entry(changed, COMMANDS, len(log.by_topic[COMMANDS]) - 1)
+    changed = without_entry(changed, COMMANDS, len(log.entries_by_topic[COMMANDS]) - 1)
     steps = [step for step, _, _ in found(log, changed)]
     assert steps == [1, None, None]
 

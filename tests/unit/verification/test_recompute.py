@@ -22,9 +22,9 @@ from tetractl.verification.recompute import (
     NoSearchError,
     StepSearches,
     TooLongError,
-    first_steps,
     plan_again,
     recompute,
+    steps_before_gap,
 )
 
 pytestmark = pytest.mark.slow
@@ -51,7 +51,7 @@ def requests_of(log, step_number):
     controller = searches.controller(log, key)
     last = None
     for step in log.steps[: step_number + 1]:
-        searches.begin(step.plan.searches)
+        searches.start_step(step.plan.searches)
         plan_again(controller, log, last, step.observation)
         last = step
     return searches.requests
@@ -68,7 +68,7 @@ def request_and_search():
 def contradicted(request, search):
     """The field that contradicts the request if the log has this search; None if none does."""
     searches = StepSearches(False)
-    searches.begin([search])
+    searches.start_step([search])
     searches.search(request)
     return None if searches.contradiction is None else searches.contradiction.field
 
@@ -178,7 +178,7 @@ def test_a_search_is_cut_short_only_by_a_limit_that_it_has(request_and_search, l
 def test_a_search_of_another_length_is_no_answer(request_and_search):
     request, search = request_and_search
     searches = StepSearches(False)
-    searches.begin([search])
+    searches.start_step([search])
     with pytest.raises(NoSearchError):
         searches.search(replace(request, length=request.length + 1))
     assert searches.contradiction.field == "searches.0.length"
@@ -188,11 +188,11 @@ def test_the_first_contradiction_of_a_step_is_kept_until_the_next_step(request_a
     request, search = request_and_search
     wrong = replace(search, evaluations=3)
     searches = StepSearches(False)
-    searches.begin([search, wrong, replace(search, cost=1.0)])
+    searches.start_step([search, wrong, replace(search, cost=1.0)])
     for _ in range(3):
         searches.search(request)
     assert searches.contradiction.field == "searches.1.evaluations"
-    searches.begin([search])
+    searches.start_step([search])
     assert searches.contradiction is None
     assert searches.requests == {}
 
@@ -202,7 +202,7 @@ def test_there_are_no_more_searches_than_the_log_has_and_given_signals_are_none(
 ):
     request, search = request_and_search
     searches = StepSearches(False)
-    searches.begin([replace(search, stopped=StopReason.FIXED), search])
+    searches.start_step([replace(search, stopped=StopReason.FIXED), search])
     assert searches.search(request) is search
     assert set(searches.requests) == {1}
     with pytest.raises(NoSearchError):
@@ -216,10 +216,10 @@ def test_the_limit_counts_from_the_start_and_is_not_yet_over_when_it_is_reached(
     cpu = HandTimer(100.0)
     searches = StepSearches(False, cpu)
     cpu.now_s += seconds_limit()
-    assert not searches.expired()
+    assert not searches.is_expired()
     searches.require_time()
     cpu.now_s += 1e-3
-    assert searches.expired()
+    assert searches.is_expired()
     with pytest.raises(TooLongError):
         searches.require_time()
 
@@ -229,8 +229,8 @@ def test_compiling_before_the_first_repeated_search_takes_none_of_the_time(reque
     cpu = HandTimer(100.0)
     searches = StepSearches(True, cpu)
     cpu.now_s += 10 * seconds_limit()
-    assert not searches.expired()
-    searches.begin([search, search])
+    assert not searches.is_expired()
+    searches.start_step([search, search])
     again = searches.search(request)
     assert again.cost == search.cost
     assert again.signals.tolist() == search.signals.tolist()
@@ -243,7 +243,7 @@ def test_a_search_that_a_deadline_ended_is_repeated_to_its_logged_evaluations(re
     request, search = request_and_search
     spent = request.optimizer.particles * 7 + 1
     searches = StepSearches(True)
-    searches.begin([replace(search, stopped=StopReason.DEADLINE, evaluations=spent), search])
+    searches.start_step([replace(search, stopped=StopReason.DEADLINE, evaluations=spent), search])
     cut = searches.search(request)
     assert (cut.evaluations, cut.stopped) == (spent, StopReason.DEADLINE)
     assert searches.search(request).evaluations == search.evaluations  # and others to their end
@@ -255,7 +255,7 @@ def test_a_search_that_a_deadline_ended_is_repeated_to_its_logged_evaluations(re
 def test_a_whole_log_agrees_in_each_step():
     for search_again in (True, False):
         repeated = recompute(WHOLE, search_again)
-        assert (repeated.agreeing, repeated.difference) == (len(WHOLE.steps), None)
+        assert (repeated.agreeing_steps, repeated.difference) == (len(WHOLE.steps), None)
 
 
 def with_plan(k, **fields):
@@ -310,9 +310,9 @@ def test_a_missing_search_and_one_of_another_length_are_told_apart():
 def test_steps_after_a_missing_one_are_left_out():
     steps = WHOLE.steps
     lacking = replace(WHOLE, steps=(*steps[:2], *steps[3:]))
-    assert first_steps(lacking) == list(steps[:2])
-    assert recompute(lacking, False).agreeing == 2
-    assert first_steps(replace(WHOLE, steps=steps[1:])) == []
+    assert steps_before_gap(lacking) == list(steps[:2])
+    assert recompute(lacking, False).agreeing_steps == 2
+    assert steps_before_gap(replace(WHOLE, steps=steps[1:])) == []
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_steps_after_a_lost_frame_count_only_if_frames_are_not_what_was_lost(
         result=WHOLE.result if has_result else None,
         damage=Damage(("torn",), lost),
     )
-    assert len(first_steps(log)) == (len(WHOLE.steps) if counts else 3)
+    assert len(steps_before_gap(log)) == (len(WHOLE.steps) if counts else 3)
 
 
 def test_a_step_whose_own_frame_is_lost_is_left_out():
@@ -347,13 +347,13 @@ def test_a_step_whose_own_frame_is_lost_is_left_out():
         mocap_ns=WHOLE.mocap_ns[kept],
         damage=Damage(("torn",), ("frames",)),
     )
-    assert len(first_steps(log)) == 2
+    assert len(steps_before_gap(log)) == 2
 
 
 def test_a_log_that_was_cut_short_has_no_end_to_check():
     cut = cut_short(WHOLE, STEPS)
     repeated = recompute(cut, False)
-    assert (repeated.agreeing, repeated.difference) == (STEPS, None)
+    assert (repeated.agreeing_steps, repeated.difference) == (STEPS, None)
 
 
 # ---- The end ----

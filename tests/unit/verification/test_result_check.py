@@ -16,8 +16,8 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.core.trial import EMULATED_DEVICES, HALTS, PlantInfo
-from tetractl.log.provenance import CODE
-from tetractl.run.task import code_of
+from tetractl.log.provenance import TRIAL_CODE_KEY
+from tetractl.run.task import code_hash
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant
 from tetractl.verification.result_check import result_differences
@@ -210,7 +210,7 @@ def wheeled_lab(tmp_path_factory):
         exposed_ns=times_ns[:, None].repeat(3, axis=1),
         commands=tuple(sent),
         stop=None,
-        facts=log.facts | {CODE: code_of(spec)},
+        facts=log.facts | {TRIAL_CODE_KEY: code_hash(spec)},
     )
     return with_plant(log, {HALTS: "yes"}, spec)
 
@@ -272,7 +272,7 @@ def test_turns_of_robots_that_the_frames_do_not_have_are_counted(wheeled_lab, tu
 
 
 def test_turns_are_computed_again_only_by_the_code_that_wrote_the_log(wheeled_lab):
-    older = replace(wheeled_lab, facts=wheeled_lab.facts | {CODE: "older"})
+    older = replace(wheeled_lab, facts=wheeled_lab.facts | {TRIAL_CODE_KEY: "older"})
     assert turns_of(older, (9.0,) * 3, (9.0,) * 3) == {}
 
 

@@ -8,11 +8,11 @@ from testkit.trials import three_robots
 
 from tetractl.core.plan import Outcome, StopReason
 from tetractl.log.format.channels import Entry
-from tetractl.log.provenance import CODE
-from tetractl.run.task import code_of
+from tetractl.log.provenance import TRIAL_CODE_KEY
+from tetractl.run.task import code_hash
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant
-from tetractl.verification.run_again import Recorder, why_not_again
+from tetractl.verification.run_again import RecordCollector, why_not_again
 
 pytestmark = pytest.mark.slow
 
@@ -43,7 +43,7 @@ def searched(log, stopped):
 
 
 def test_a_simulation_in_virtual_time_of_this_code_on_this_computer_is_run_again(log):
-    assert log.facts[CODE] == code_of(log.experiment)
+    assert log.facts[TRIAL_CODE_KEY] == code_hash(log.experiment)
     assert why_not_again(log, ()) == ""
     for stopped in StopReason:
         if stopped is not StopReason.DEADLINE:
@@ -55,7 +55,7 @@ def test_every_reason_alone_keeps_a_trial_from_being_run_again(log):
     assert why_not_again(with_spec_of_a_lab(log), ()) == NOT_SIMULATED
     assert why_not_again(replace(log, result=None), ()) == NOT_SIMULATED
     assert why_not_again(log, ("machine: another",)) == ELSEWHERE
-    assert why_not_again(replace(log, facts=log.facts | {CODE: "older"}), ()) == ELSEWHERE
+    assert why_not_again(replace(log, facts=log.facts | {TRIAL_CODE_KEY: "older"}), ()) == ELSEWHERE
     assert why_not_again(replace(log, facts={}), ()) == ELSEWHERE
     interrupted = replace(log.result, outcome=Outcome.INTERRUPTED)
     assert why_not_again(replace(log, result=interrupted), ()) == "it was interrupted"
@@ -71,15 +71,15 @@ def test_an_aborted_simulation_is_run_again(log):
 def test_a_recorder_keeps_every_record_and_asks_once_to_stop_when_its_time_is_over(monkeypatch):
     now_s = 0.0
     monkeypatch.setattr("tetractl.verification.run_again.computing_s", lambda: now_s)
-    recorder = Recorder(until_s=5.0)
+    recorder = RecordCollector(deadline_s=5.0)
     records = [Entry("/log", i, i, b"") for i in range(4)]
     now_s = 5.0
     recorder.add(records[0])
-    assert not recorder.late
+    assert not recorder.is_late
     assert not recorder.interrupt.requested
     now_s = 5.1
     for record in records[1:]:
         recorder.add(record)
-        assert recorder.late
+        assert recorder.is_late
         assert recorder.interrupt.count == 1
     assert recorder.records == records

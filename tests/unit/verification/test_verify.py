@@ -26,7 +26,7 @@ from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.controller import ALONE
 from tetractl.spec.load import parse_spec
 from tetractl.tools.kernels.kernel_cache import computing_s
-from tetractl.verification.recompute import first_steps, recompute
+from tetractl.verification.recompute import recompute, steps_before_gap
 from tetractl.verification.result_check import result_differences
 from tetractl.verification.verify import Method, verify
 
@@ -285,8 +285,8 @@ def test_on_another_machine_every_command_has_to_be_the_one_of_its_plan(
     tmp_path, contents, topic, k
 ):
     """The last one, too, on which no later decision depends."""
-    steps = contents.by_topic[STEP]
-    entry = steps[k] if topic == STEP else contents.by_topic[COMMANDS][: len(steps)][k]
+    steps = contents.entries_by_topic[STEP]
+    entry = steps[k] if topic == STEP else contents.entries_by_topic[COMMANDS][: len(steps)][k]
     place = ("command", "direction") if topic == STEP else ("direction",)
     index = contents.entries.index(entry)
     changed = scan(with_entry(contents, tmp_path / "changed.mcap", index, place))
@@ -298,7 +298,7 @@ def test_on_another_machine_every_command_has_to_be_the_one_of_its_plan(
 def test_an_outcome_is_not_changed_with_all_that_says_it(tmp_path, contents, outcome):
     """Regression: a bad trial could be taken out of the means so."""
 
-    last_entry = contents.by_topic[LOG][-1]
+    last_entry = contents.entries_by_topic[LOG][-1]
     last_note = Log.FromString(last_entry.data)
     last_note.message = last_note.message.replace("steps max", f"{outcome} (why)")
     replaced = {last_entry: last_entry._replace(data=last_note.SerializeToString())}
@@ -372,12 +372,12 @@ def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
     log = three_robots()
     numbers = np.where(np.arange(len(log.frames)) > 30, log.frames + 1, log.frames)
     cut = replace(log, frames=numbers, result=None, damage=Damage((), ("the result",)))
-    assert first_steps(cut) == list(cut.steps)
+    assert steps_before_gap(cut) == list(cut.steps)
 
 
 def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     """Regression, found by benchmarks/fuzz.py: reading a trial does not decode it."""
-    entry = contents.by_topic["/tf"][0]
+    entry = contents.entries_by_topic["/tf"][0]
     torn = {entry: entry._replace(data=entry.data[:-3])}
     (problem,) = verify(rewrite(contents, tmp_path / "changed.mcap", torn)).problems
     assert str(problem) == "trial: /tf[0]: is not a valid message of its channel"
@@ -388,4 +388,4 @@ def test_no_step_after_a_gap_is_a_first_step():
     log = three_robots()
     first, second, third, *_ = log.steps
     with_gap = replace(log, steps=(first, third, replace(second, k=2)))
-    assert first_steps(with_gap) == [first]
+    assert steps_before_gap(with_gap) == [first]

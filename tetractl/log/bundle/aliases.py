@@ -5,8 +5,8 @@ The aliases of addresses come from ranges that are reserved for documentation: 1
 valid. Addresses that identify nobody stay: loopback, broadcast and multicast.
 
     aliases = Aliases(["Ada"])
-    aliases.text("Ada's tracker: 192.168.1.5")      "removed-1's tracker: 192.0.2.1"
-    aliases.text("192.168.1.5, 192.168.1.6")        "192.0.2.1, 192.0.2.2"
+    aliases.alias_text("Ada's tracker: 192.168.1.5")      "removed-1's tracker: 192.0.2.1"
+    aliases.alias_text("192.168.1.5, 192.168.1.6")        "192.0.2.1, 192.0.2.2"
 """
 
 import ipaddress
@@ -15,9 +15,12 @@ from collections import Counter
 from collections.abc import Iterable
 
 IPV4_MAX = 254
-"""Maximum number of different IPv4 aliases. All further addresses share the last one."""
+"""Maximum number of different IPv4 aliases. All further addresses share the last alias."""
 VERSION_BELOW = 10
-"""First number below which four numbers count as a version, and not as an IPv4 address."""
+"""Bound of the first of four numbers.
+
+Below this bound, the four numbers count as a version, and not as an IPv4 address.
+"""
 IP_HEX = re.compile(r"(?<![\w:.])[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}(?![\w:])")
 IP_DOTTED = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w]|\.\d)")
 MAC = re.compile(
@@ -44,7 +47,7 @@ class Aliases:
         self.counts = Counter[str]()
         """Number of different addresses and names that were replaced, by kind."""
 
-    def text(self, text: str) -> str:
+    def alias_text(self, text: str) -> str:
         """Replace the addresses and names in a text by aliases."""
         text = LOGIN.sub("", text)
         text = PERSON.sub(lambda m: self._alias("persons", m[0], "person-{}@example.org"), text)
@@ -52,8 +55,8 @@ class Aliases:
         text = XBEE.sub(
             lambda m: self._alias("radios", m[0].replace(" ", ""), "0013A20000{:06X}"), text
         )
-        text = IP_HEX.sub(lambda m: self.ip(m[0]), text)
-        text = IP_DOTTED.sub(lambda m: m[0] if _is_version(m[0]) else self.ip(m[0]), text)
+        text = IP_HEX.sub(lambda m: self.alias_ip(m[0]), text)
+        text = IP_DOTTED.sub(lambda m: m[0] if _is_version(m[0]) else self.alias_ip(m[0]), text)
         text = HOST.sub(lambda m: self._alias("hosts", m[0], "host-{}.example"), text)
         text = HOME.sub(r"\1user", text)
         for name in self._names:
@@ -62,8 +65,8 @@ class Aliases:
                 text = pattern.sub(self._alias("names", name.casefold(), "removed-{}"), text)
         return text
 
-    def payload(self, data: bytes) -> bytes:
-        """Replace each byte of a name in some bytes by an x, so that the length stays the same.
+    def mask_payload(self, data: bytes) -> bytes:
+        """Overwrite each name in the payload of a packet with x, so that its length stays the same.
 
         Addresses are not replaced.
         """
@@ -72,15 +75,15 @@ class Aliases:
             data = pattern.sub(lambda m: b"x" * len(m[0]), data)
         return data
 
-    def host_name(self, name: str) -> None:
-        """Replace a computer's name in later texts, too.
+    def add_host_name(self, name: str) -> None:
+        """Add a computer's name to the names that later texts must not contain.
 
         An ordinary word of small letters, such as `lab`, is not replaced.
         """
         if name and ORDINARY_WORD.fullmatch(name) is None and name not in self._names:
             self._names.append(name)
 
-    def ip(self, address: str) -> str:
+    def alias_ip(self, address: str) -> str:
         """Return the alias of an IPv4 or IPv6 address.
 
         A string that is no address is returned unchanged, and so are loopback, multicast,
@@ -98,7 +101,7 @@ class Aliases:
             return address
         return self._alias("addresses", address, "192.0.2.{}", IPV4_MAX)
 
-    def mac(self, address: bytes) -> bytes:
+    def alias_mac(self, address: bytes) -> bytes:
         """Return the alias of a MAC address, given as 6 bytes.
 
         Multicast and broadcast addresses, and the address of zeros, are returned unchanged.
@@ -110,20 +113,23 @@ class Aliases:
 
     def _mac_in_text(self, text: str) -> str:
         separator = text[2]
-        alias = self.mac(bytes.fromhex(text.replace(separator, "")))
+        alias = self.alias_mac(bytes.fromhex(text.replace(separator, "")))
         return alias.hex(separator)
 
-    def _alias(self, kind: str, original: str, form: str, number_max: int = 1 << 24) -> str:
-        """Return the alias of an address or name, or create it if it is new.
+    def _alias(self, category: str, original: str, pattern: str, number_max: int = 1 << 24) -> str:
+        """Return the alias of an address or name. Create the alias if it does not exist yet.
 
-        `form` is the pattern of the alias. It is filled with a number that counts the originals of
-        this `kind`.
+        Args:
+            category: Kind of the original, such as "hosts". Aliases are numbered per category.
+            original: The address or name to replace.
+            pattern: Format of the alias, into which the number is filled.
+            number_max: Maximum number. All further originals share the alias with this number.
         """
-        if (kind, original) not in self._aliases:
-            self.counts[kind] += 1
-            number = min(self.counts[kind], number_max)
-            self._aliases[kind, original] = form.format(number)
-        return self._aliases[kind, original]
+        if (category, original) not in self._aliases:
+            self.counts[category] += 1
+            number = min(self.counts[category], number_max)
+            self._aliases[category, original] = pattern.format(number)
+        return self._aliases[category, original]
 
 
 def _is_version(text: str) -> bool:

@@ -18,7 +18,7 @@ from mcap.records import Attachment
 from tetractl.core.errors import LogError, UsageError
 from tetractl.log import provenance
 from tetractl.log.bundle.aliases import Aliases
-from tetractl.log.bundle.capture import aliased_capture, is_capture
+from tetractl.log.bundle.capture import alias_capture, is_capture
 from tetractl.log.format.channels import (
     BACKGROUND,
     CHANNELS,
@@ -38,18 +38,20 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
 
-WITH_TEXT = (RUN, HOST, LOG, RESULT, RECOVERED)
+TEXT_CHANNELS = (RUN, HOST, LOG, RESULT, RECOVERED)
 """Channels whose messages contain text in which names and addresses are replaced."""
-COMPUTER = "host"
+COMPUTER_KEY = "host"
 """Key of the computer's name in a log's facts about its host."""
 REMOVED = "removed"
-FILE_NAMES = ("git_changed", "git_untracked")
-"""Keys of lists of file names in a log's environment, which are replaced by their lengths.
+"""Text that replaces the computer's name."""
+FILE_LIST_KEYS = ("git_changed", "git_untracked")
+"""Keys of the lists of file names in a log's environment.
 
-The names may be names of people or projects.
+The lists are replaced by their lengths, because file names may contain names of people or projects.
 """
-CONTENTS = "contents.txt"
-BYTES_MAX = 500_000_000
+CONTENTS_FILE = "contents.txt"
+"""Name of the file in a bundle that lists the contents of the bundle."""
+FILE_BYTES_MAX = 500_000_000
 """Maximum size of a file that is not a log [bytes]."""
 
 
@@ -60,7 +62,7 @@ class Bundle:
     Attributes:
         lines: A line for each file, with its name in the bundle and what a reader should know.
         images: Number of images in the logs.
-        replaced: How many different addresses and names were replaced, by kind.
+        replaced: Number of different addresses and names that were replaced, by category.
     """
 
     lines: list[str] = field(default_factory=list)
@@ -88,38 +90,38 @@ def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bund
             f"{out}: a file of this name exists already", "choose another file with --out"
         )
     logs = [log for path in paths if _has_logs(path) for log in find_logs([path])]
-    others = [path for path in paths if not _has_logs(path)]
+    other_files = [path for path in paths if not _has_logs(path)]
     contents = [scan(log) for log in logs]
     aliases = Aliases(names)
-    aliases.host_name(provenance.host()[COMPUTER])
+    aliases.add_host_name(provenance.host()[COMPUTER_KEY])
     for log in contents:
-        aliases.host_name(log.facts.get(COMPUTER, ""))
+        aliases.add_host_name(log.facts.get(COMPUTER_KEY, ""))
     bundle = Bundle()
-    part = out.with_name(out.name + ".part")
+    part_path = out.with_name(out.name + ".part")
     try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(part_path, "w", zipfile.ZIP_DEFLATED) as archive:
             for number, log in enumerate(contents):
                 _add_log(archive, number, log, aliases, bundle)
-            for path in others:
+            for path in other_files:
                 _add_file(archive, path, aliases, bundle)
-            archive.writestr(ENVIRONMENT, _environment(provenance.environment(), aliases))
+            archive.writestr(ENVIRONMENT, _alias_environment(provenance.environment(), aliases))
             bundle.lines.append(f"{ENVIRONMENT}: this computer and its packages")
             bundle.replaced = dict(aliases.counts)
-            archive.writestr(CONTENTS, contents_text(bundle))
-        part.replace(out)
+            archive.writestr(CONTENTS_FILE, contents_text(bundle))
+        part_path.replace(out)
     except FileNotFoundError:
         raise UsageError(f"{out}: the folder {out.parent} does not exist") from None
     except OSError as error:
         raise LogError(f"{out}: cannot be written: {error.strerror}") from error
     finally:
-        part.unlink(missing_ok=True)
+        part_path.unlink(missing_ok=True)
     return bundle
 
 
 def contents_text(bundle: Bundle) -> str:
     """Describe the contents of a bundle as text: its files, the aliases and the images."""
-    kinds = [f"{kind}: {count}" for kind, count in sorted(bundle.replaced.items())]
-    replaced = f"replaced by aliases: {', '.join(kinds) or 'nothing'}"
+    counts = [f"{category}: {count}" for category, count in sorted(bundle.replaced.items())]
+    replaced = f"replaced by aliases: {', '.join(counts) or 'nothing'}"
     images = [f"{bundle.images} images of the arena are unchanged"] * (bundle.images > 0)
     return "\n".join([*bundle.lines, replaced, *images]) + "\n"
 
@@ -132,9 +134,9 @@ def _has_logs(path: Path) -> bool:
 def _add_log(
     archive: zipfile.ZipFile, number: int, log: RawLog, aliases: Aliases, bundle: Bundle
 ) -> None:
-    """Add a numbered copy of a log, in which aliases replace names and addresses.
+    """Add a copy of a log to the bundle, in which aliases replace names and addresses.
 
-    The number is needed because logs of several folders may have the same name.
+    `number` is part of the copy's name, because logs of several folders may have the same name.
     """
     if not log.records:
         raise LogError(f"{log.path}: the log is damaged, and nothing in it can be read")
@@ -149,8 +151,8 @@ def _add_log(
                 bundle.images += record.topic in (PICTURE, BACKGROUND)
                 if record.topic == DIGESTS:
                     continue
-            sink.add(_aliased(record, aliases))
-        if log.by_topic[DIGESTS] and not log.altered and not log.host_altered:
+            sink.add(_alias_record(record, aliases))
+        if log.entries_by_topic[DIGESTS] and not log.altered and not log.host_altered:
             sink.seal(last_ns)
         sink.close(complete=True)
         archive.write(copy, name)
@@ -158,19 +160,19 @@ def _add_log(
     bundle.lines.append(f"{name}: {len(log.records)} records{damage}")
 
 
-def _aliased(record: Record, aliases: Aliases) -> Record:
+def _alias_record(record: Record, aliases: Aliases) -> Record:
     """Return a copy of a record in which aliases replace names and addresses."""
     if isinstance(record, Attachment):
         if record.name == ENVIRONMENT:
-            text = _environment(record.data.decode(errors="replace"), aliases)
+            text = _alias_environment(record.data.decode(errors="replace"), aliases)
         elif record.media_type.startswith(("application/yaml", "text/")):
-            text = aliases.text(record.data.decode(errors="replace"))
+            text = aliases.alias_text(record.data.decode(errors="replace"))
         else:
             return record
         return Attachment(
             record.create_time, record.log_time, record.name, record.media_type, text.encode()
         )
-    if record.topic not in WITH_TEXT:
+    if record.topic not in TEXT_CHANNELS:
         return record
     try:
         message = CHANNELS[record.topic].FromString(record.data)
@@ -184,34 +186,34 @@ def _aliased(record: Record, aliases: Aliases) -> Record:
 
 def _alias_strings(message: Message, aliases: Aliases) -> None:
     """Replace names and addresses in all fields of a message, including the computer's name."""
-    if getattr(message, "key", None) == COMPUTER:
+    if getattr(message, "key", None) == COMPUTER_KEY:
         message.value = REMOVED  # type: ignore[attr-defined]
-    for about, value in message.ListFields():
-        if about.type == about.TYPE_MESSAGE:
-            for part in value if about.is_repeated else (value,):
-                _alias_strings(part, aliases)
-        elif about.type == about.TYPE_STRING and about.is_repeated:
-            value[:] = [aliases.text(text) for text in value]
-        elif about.type == about.TYPE_STRING:
-            setattr(message, about.name, aliases.text(value))
+    for field_descriptor, value in message.ListFields():
+        if field_descriptor.type == field_descriptor.TYPE_MESSAGE:
+            for submessage in value if field_descriptor.is_repeated else (value,):
+                _alias_strings(submessage, aliases)
+        elif field_descriptor.type == field_descriptor.TYPE_STRING and field_descriptor.is_repeated:
+            value[:] = [aliases.alias_text(text) for text in value]
+        elif field_descriptor.type == field_descriptor.TYPE_STRING:
+            setattr(message, field_descriptor.name, aliases.alias_text(value))
 
 
-def _environment(text: str, aliases: Aliases) -> str:
-    """Return the environment that a log contains, without the names of computer and files.
+def _alias_environment(environment_json: str, aliases: Aliases) -> str:
+    """Return a log's environment without the names of the computer and of files.
 
     Lists of changed files are replaced by their lengths. The result is empty if the text is not a
     JSON object.
     """
     try:
-        facts: dict[str, Any] = dict(json.loads(text))
+        facts: dict[str, Any] = dict(json.loads(environment_json))
     except (ValueError, TypeError):
         return ""
     if isinstance(facts.get("host"), dict):
-        facts["host"][COMPUTER] = REMOVED
-    for key in FILE_NAMES:
+        facts["host"][COMPUTER_KEY] = REMOVED
+    for key in FILE_LIST_KEYS:
         if key in facts:
             facts[key] = len(facts[key])
-    return aliases.text(json.dumps(facts, indent=1)) + "\n"
+    return aliases.alias_text(json.dumps(facts, indent=1)) + "\n"
 
 
 def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bundle) -> None:
@@ -220,8 +222,8 @@ def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bu
     Raises:
         UsageError: If the file is neither.
     """
-    if path.stat().st_size > BYTES_MAX:
-        raise UsageError(f"{path}: the file is larger than {BYTES_MAX // 1000000} MB")
+    if path.stat().st_size > FILE_BYTES_MAX:
+        raise UsageError(f"{path}: the file is larger than {FILE_BYTES_MAX // 1000000} MB")
     data = path.read_bytes()
     name = f"files/{path.name}"
     if name in archive.namelist():
@@ -231,7 +233,7 @@ def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bu
         )
     if is_capture(data):
         try:
-            capture = aliased_capture(data, aliases)
+            capture = alias_capture(data, aliases)
         except UsageError as error:
             raise UsageError(f"{path}: {error.message}", error.hint) from None
         archive.writestr(name, capture.data)
@@ -246,5 +248,5 @@ def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bu
             f"{path}: the file is neither a log, nor a capture in pcap format, nor a text",
             "attach images and videos to the report yourself, after you have looked at them",
         ) from None
-    archive.writestr(name, aliases.text(text))
+    archive.writestr(name, aliases.alias_text(text))
     bundle.lines.append(f"{name}: text")

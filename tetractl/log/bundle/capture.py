@@ -27,7 +27,7 @@ ETHERNET = 1
 RAW_IP = 101
 COOKED = 113
 COOKED_2 = 276
-"""Type of link, as are the constants above; see https://www.tcpdump.org/linktypes.html."""
+"""The last of four link types of a capture; see https://www.tcpdump.org/linktypes.html."""
 IPV4 = 0x0800
 IPV6 = 0x86DD
 VLAN = 0x8100
@@ -43,7 +43,7 @@ class AliasedCapture:
 
     Attributes:
         data: The bytes of the file.
-        packets: Number of packets in it.
+        packets: Number of packets in the copy.
         left_out: Number of packets of the original that were left out.
     """
 
@@ -57,7 +57,7 @@ def is_capture(data: bytes) -> bool:
     return data[:4] in MAGICS
 
 
-def aliased_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
+def alias_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
     """Copy a recording of network traffic, with aliases instead of its addresses.
 
     An incomplete packet at the end is left out.
@@ -83,19 +83,19 @@ def aliased_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
         if end > len(data):
             left_out += 1
             break
-        packet = _aliased_packet(
+        packet = _alias_packet(
             bytearray(data[offset + RECORD_HEADER_SIZE : end]), link_type, aliases
         )
         if packet is None:
             left_out += 1
         else:
             packets += 1
-            copy += data[offset : offset + RECORD_HEADER_SIZE] + aliases.payload(bytes(packet))
+            copy += data[offset : offset + RECORD_HEADER_SIZE] + aliases.mask_payload(bytes(packet))
         offset = end
     return AliasedCapture(bytes(copy), packets, left_out)
 
 
-def _aliased_packet(packet: bytearray, link_type: int, aliases: Aliases) -> bytearray | None:
+def _alias_packet(packet: bytearray, link_type: int, aliases: Aliases) -> bytearray | None:
     """Replace the addresses of a packet by aliases.
 
     Returns:
@@ -120,14 +120,18 @@ def _alias_link(packet: bytearray, link_type: int, aliases: Aliases) -> int | No
         return 0
     if link_type == ETHERNET:
         for offset in (0, 6):
-            packet[offset : offset + 6] = aliases.mac(bytes(packet[offset : offset + 6]))
+            packet[offset : offset + 6] = aliases.alias_mac(bytes(packet[offset : offset + 6]))
         offset = 12
         while _read_u16(packet, offset) == VLAN:
             offset += 4
         return offset + 2 if _read_u16(packet, offset) in (IPV4, IPV6) else None
-    protocol_at, address_at, end = (14, 6, 16) if link_type == COOKED else (0, 12, 20)
-    packet[address_at : address_at + 6] = aliases.mac(bytes(packet[address_at : address_at + 6]))
-    return end if _read_u16(packet, protocol_at) in (IPV4, IPV6) else None
+    protocol_offset, address_offset, header_size = (
+        (14, 6, 16) if link_type == COOKED else (0, 12, 20)
+    )
+    packet[address_offset : address_offset + 6] = aliases.alias_mac(
+        bytes(packet[address_offset : address_offset + 6])
+    )
+    return header_size if _read_u16(packet, protocol_offset) in (IPV4, IPV6) else None
 
 
 def _alias_ip(packet: bytearray, offset: int, aliases: Aliases) -> bool:
@@ -159,7 +163,7 @@ def _alias_ip(packet: bytearray, offset: int, aliases: Aliases) -> bool:
     destination = source + address_size
     for begin in (source, destination):
         end = begin + address_size
-        packet[begin:end] = _aliased_ip(bytes(packet[begin:end]), aliases)
+        packet[begin:end] = _alias_address(bytes(packet[begin:end]), aliases)
     if address_size == 4:
         struct.pack_into(">H", packet, offset + 10, 0)
         checksum = _checksum(packet[offset : offset + header_size])
@@ -173,13 +177,13 @@ def _alias_ip(packet: bytearray, offset: int, aliases: Aliases) -> bool:
     return NAME_PORTS.isdisjoint(ports)
 
 
-def _aliased_ip(address: bytes, aliases: Aliases) -> bytes:
+def _alias_address(address: bytes, aliases: Aliases) -> bytes:
     """Return the alias of an IP address that is given as bytes."""
-    return ipaddress.ip_address(aliases.ip(str(ipaddress.ip_address(address)))).packed
+    return ipaddress.ip_address(aliases.alias_ip(str(ipaddress.ip_address(address)))).packed
 
 
-def _read_u16(packet: bytearray, at: int) -> int:
-    return struct.unpack_from(">H", packet, at)[0]
+def _read_u16(packet: bytearray, offset: int) -> int:
+    return struct.unpack_from(">H", packet, offset)[0]
 
 
 def _checksum(header: bytearray) -> int:

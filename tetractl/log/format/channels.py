@@ -17,6 +17,7 @@ from tetractl.core.poses import BACKGROUND, PICTURE
 from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
+"""Version of the log format that this version of tetractl writes and reads."""
 MAGIC = b"\x89MCAP0\r\n"
 """The first and also the last bytes of an MCAP file."""
 WRITER = "tetractl"
@@ -24,12 +25,10 @@ WRITER = "tetractl"
 METADATA = ("tetractl", {"format": str(FORMAT_VERSION)})
 """Name and contents of a log's only metadata record, which states the format."""
 
-TEXT = 2000
+NOTE_LENGTH_MAX = 2000
 """Maximum number of characters of an operator message.
 
-A longer one is cut when it is logged or read.
-
-Control characters are escaped.
+A longer message is cut when it is logged or read. Control characters are escaped.
 """
 
 RUN = "/run"
@@ -47,9 +46,7 @@ RESULT = "/result"
 DIGESTS = "/digests"
 RECOVERED = "/recovered"
 SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
-"""The channels of the run and its result.
-
-If one of them has several messages, the first counts.
+"""The channels of the run and its result. If one has several messages, the first message counts.
 """
 
 TABLE: tuple[tuple[int, str, type[Message]], ...] = (
@@ -91,10 +88,10 @@ class Entry(NamedTuple):
     """One message of a log: its channel, its times and its encoded contents.
 
     Attributes:
-        topic: Its topic.
-        log_ns: When the host received or sent it [Unix ns].
-        publish_ns: When its content was sampled [Unix ns].
-        data: Its bytes.
+        topic: Topic of the message's channel.
+        log_ns: Time at which the host received or sent the message's content [Unix ns].
+        publish_ns: Time at which the content was sampled [Unix ns].
+        data: The encoded message.
     """
 
     topic: str

@@ -37,13 +37,13 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
 
     True poses have single precision, unless they equal the measured ones.
     """
-    count = len(frames.numbers)
+    frame_count = len(frames.numbers)
     late_ns = frames.sampled_ns[:, None] - frames.exposed_ns
     message = pb.CameraFrames(
         times=pack_columns(
             np.column_stack([frames.numbers, frames.sampled_ns, frames.received_ns])
         ),
-        poses=pack_columns(frames.poses.reshape(count, -1)),
+        poses=pack_columns(frames.poses.reshape(frame_count, -1)),
         valid=frames.valid.ravel().tolist(),
     )
     if late_ns.any():
@@ -54,39 +54,41 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
         message.exact = True
     else:
         message.exact = False
-        message.truth = pack_columns(frames.truth.reshape(count, -1).astype(np.float32))
+        message.truth = pack_columns(frames.truth.reshape(frame_count, -1).astype(np.float32))
     return message
 
 
 @np.errstate(all="ignore")  # any bits may be a number
-def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
+def decode_frames(message: pb.CameraFrames, n_robots: int) -> Frames:
     """Decode the camera frames in a message of the log.
 
     Raises:
-        ValueError: If they do not have `robots` robots.
+        ValueError: If the frames do not have `n_robots` robots.
     """
     times = unpack_columns(message.times, 3, "<i8")
-    poses = unpack_columns(message.poses, 3 * robots, "<f8")
-    truth = poses if message.exact else unpack_columns(message.truth, 3 * robots, "<f4")
-    late_ns = unpack_columns(message.late, robots, "<i8")
-    count = len(times)
-    complete = len(poses) == count and len(message.valid) == count * robots
-    optional = len(truth) in (0, count) and len(late_ns) in (0, count)
-    if not complete or not optional:
-        raise ValueError(f"arrays of camera frames do not have {count} times {robots} entries")
+    poses = unpack_columns(message.poses, 3 * n_robots, "<f8")
+    truth = poses if message.exact else unpack_columns(message.truth, 3 * n_robots, "<f4")
+    late_ns = unpack_columns(message.late, n_robots, "<i8")
+    frame_count = len(times)
+    has_required_arrays = len(poses) == frame_count and len(message.valid) == frame_count * n_robots
+    has_optional_arrays = len(truth) in (0, frame_count) and len(late_ns) in (0, frame_count)
+    if not has_required_arrays or not has_optional_arrays:
+        raise ValueError(
+            f"arrays of camera frames do not have {frame_count} times {n_robots} entries"
+        )
     sampled_ns = times[:, 1]
-    exposed_ns = np.repeat(sampled_ns[:, None], robots, axis=1)
+    exposed_ns = np.repeat(sampled_ns[:, None], n_robots, axis=1)
     if len(late_ns):
         exposed_ns = exposed_ns - late_ns
     true_poses = None
-    if len(truth) == count:
-        true_poses = truth.astype(np.float64).reshape(count, robots, 3)
+    if len(truth) == frame_count:
+        true_poses = truth.astype(np.float64).reshape(frame_count, n_robots, 3)
     return Frames(
         numbers=times[:, 0],
         sampled_ns=sampled_ns,
         received_ns=times[:, 2],
-        poses=poses.reshape(count, robots, 3),
-        valid=np.array(message.valid, dtype=np.bool_).reshape(count, robots),
+        poses=poses.reshape(frame_count, n_robots, 3),
+        valid=np.array(message.valid, dtype=np.bool_).reshape(frame_count, n_robots),
         truth=true_poses,
         exposed_ns=exposed_ns,
     )
@@ -109,15 +111,15 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
     )
 
 
-def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
+def decode_observation(message: pb.MocapSample, n_robots: int) -> Observation:
     """Decode the camera frame on which the controller based a decision.
 
     Raises:
-        ValueError: If it does not have `robots` robots.
+        ValueError: If the frame does not have `n_robots` robots.
     """
     counts = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
-    if counts != {robots} or len(message.exposed_ns) not in (0, robots):
-        raise ValueError(f"a frame has {sorted(counts)} robots instead of {robots}")
+    if counts != {n_robots} or len(message.exposed_ns) not in (0, n_robots):
+        raise ValueError(f"a frame has {sorted(counts)} robots instead of {n_robots}")
     columns = map(_floats, (message.x, message.y, message.heading))
     return Observation(
         frame=message.frame,
@@ -204,20 +206,20 @@ def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
     )
 
 
-def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int) -> Step:
+def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, n_robots: int) -> Step:
     """Decode one control step.
 
-    The headings of its path are not logged, and are NaN.
+    The headings of the planned path are not logged, so they become NaN.
 
     Args:
-        message: The message.
-        timing: Its timing. Without it, solve_ns is 0.
-        robots: Number of robots.
+        message: The message of the step.
+        timing: The message with the step's solve time. If it is None, `solve_ns` is 0.
+        n_robots: Number of robots.
 
     Raises:
         ValueError: If arrays have unequal lengths, or the number of robots differs.
     """
-    observation = decode_observation(message.observation, robots)
+    observation = decode_observation(message.observation, n_robots)
     if not message.signals:
         raise ValueError(f"step {message.k} has no signal")
     if not 0 <= message.chosen < len(message.searches):
@@ -232,7 +234,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     path = np.stack([x, y, np.full_like(x, np.nan)], axis=-1)
     plan = Plan(
         signals=_floats(message.signals),
-        path=path.reshape(-1, robots, 3),
+        path=path.reshape(-1, n_robots, 3),
         cost=message.cost,
         target_cost=message.target_cost,
         obstacle_cost=message.obstacle_cost,
@@ -249,7 +251,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         ),
         chosen=message.chosen,
         generator=message.generator,
-        estimate=_decode_estimate(message.estimate, robots)
+        estimate=_decode_estimate(message.estimate, n_robots)
         if message.HasField("estimate")
         else None,
         instead=None if isinstance(command.action, Steer) else command.action,
@@ -290,10 +292,10 @@ def _encode_estimate(estimate: Estimate) -> pb.Estimate:
     )
 
 
-def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
+def _decode_estimate(message: pb.Estimate, n_robots: int) -> Estimate:
     """Decode an estimate of the motion.
 
-    Raises ValueError unless each of its arrays has an entry for each of `robots` robots.
+    Raises ValueError unless each of its arrays has an entry for each of `n_robots` robots.
     """
     estimate = Estimate(
         a=_floats(message.a),
@@ -314,8 +316,8 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
     )
     values = (getattr(estimate, name) for name in ESTIMATE_FIELDS)
     counts = {len(value) for value in values if isinstance(value, np.ndarray)}
-    if counts != {robots}:
-        raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
+    if counts != {n_robots}:
+        raise ValueError(f"an estimate has {sorted(counts)} robots instead of {n_robots}")
     return estimate
 
 
@@ -327,11 +329,9 @@ def _floats(values: Sequence[float]) -> Floats:
 
 
 def _floats_or_none(values: Sequence[float]) -> Floats | None:
-    """Return optional numbers as an array.
+    """Convert optional numbers to an array, or to None if there are no numbers.
 
-    The result is None if there are no numbers.
-
-    A message cannot distinguish an empty array from a missing one.
+    A message cannot distinguish an empty array from a missing array.
     """
     return _floats(values) if values else None
 

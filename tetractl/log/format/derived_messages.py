@@ -46,12 +46,14 @@ class TrackingNotes:
 
     def add(self, observation: Observation) -> list[Note]:
         """Add the next frame, and return a message for each robot that it loses or finds again."""
-        before = self._tracked
+        previously_tracked = self._tracked
         self._tracked = observation.valid.tobytes()
-        if self._tracked == before:
+        if self._tracked == previously_tracked:
             return []
         notes: list[Note] = []
-        for name, was_tracked, is_tracked in zip(self._names, before, self._tracked, strict=True):
+        for name, was_tracked, is_tracked in zip(
+            self._names, previously_tracked, self._tracked, strict=True
+        ):
             if is_tracked and not was_tracked:
                 notes.append(Note(observation.received_ns, "info", f"{name} is tracked again"))
             elif was_tracked and not is_tracked:

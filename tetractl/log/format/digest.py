@@ -28,7 +28,7 @@ class LogDigests:
     def __init__(self) -> None:
         self._content = hashlib.sha256()
         self._host = hashlib.sha256()
-        self._heads: dict[str, bytes] = {}  # first bytes of a message, by topic
+        self._prefixes: dict[str, bytes] = {}  # first bytes of a message, by topic
 
     def add(self, record: Record) -> None:
         """Add a record to the digests, in the order of the file.
@@ -44,14 +44,14 @@ class LogDigests:
         topic, log_ns, publish_ns, data = record
         if topic in _UNCOVERED:
             return
-        head = self._heads.get(topic)
-        if head is None:
+        prefix = self._prefixes.get(topic)
+        if prefix is None:
             name = topic.encode()
-            head = self._heads[topic] = b"4;7:message%d:%b" % (len(name), name)
+            prefix = self._prefixes[topic] = b"4;7:message%d:%b" % (len(name), name)
         times = b"%d %d" % (log_ns, publish_ns)
         # one call of the hash per message, since a log has thousands
         digest = self._host if topic in HOST_RECORDS else self._content
-        digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
+        digest.update(b"%b%d:%b%d:%b" % (prefix, len(times), times, len(data), data))
 
     def hexdigests(self) -> Digests:
         """Return the digests of all records so far, as 64 hex digits each."""

@@ -29,8 +29,8 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
     """
     integers = np.ascontiguousarray(columns).view(f"<i{columns.itemsize}")
     if len(integers) > 1:
-        before = np.zeros((DIFFERENCES, integers.shape[1]), integers.dtype)
-        integers = np.diff(np.concatenate([before, integers]), DIFFERENCES, axis=0)
+        leading_zeros = np.zeros((DIFFERENCES, integers.shape[1]), integers.dtype)
+        integers = np.diff(np.concatenate([leading_zeros, integers]), DIFFERENCES, axis=0)
     sign_bit = 8 * integers.itemsize - 1
     zigzag = (integers << 1) ^ (integers >> sign_bit)
     by_column = np.ascontiguousarray(zigzag.T)
@@ -38,27 +38,27 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
     return by_number.T.tobytes()
 
 
-def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
-    """Restore columns of numbers, shape (M, `width`), from a message of the log.
+def unpack_columns(data: bytes, column_count: int, dtype: str) -> NDArray[Any]:
+    """Restore the columns of numbers that `pack_columns` has packed, shape (M, `column_count`).
 
     Empty bytes give no rows.
 
     Args:
         data: The packed bytes.
-        width: Number of columns.
-        kind: Type of the numbers, such as "<f8".
+        column_count: Number of columns.
+        dtype: Type of the numbers, such as "<f8".
 
     Raises:
         ValueError: If the number of bytes is wrong.
     """
     if not data:
-        return np.zeros((0, width), kind)
-    size = np.dtype(kind).itemsize
-    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1)
+        return np.zeros((0, column_count), dtype)
+    size = np.dtype(dtype).itemsize
+    planes = np.frombuffer(data, np.uint8).reshape(size, column_count, -1)
     by_number = np.ascontiguousarray(planes.transpose(2, 1, 0))
     zigzag = by_number.view(f"<u{size}")[..., 0]
     integers = (zigzag >> 1) ^ -(zigzag & 1)
     if len(integers) > 1:
         for _ in range(DIFFERENCES):
             integers = np.cumsum(integers, axis=0, dtype=integers.dtype)
-    return integers.view(kind)
+    return integers.view(dtype)

@@ -10,7 +10,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Start, Verdict
 from tetractl.log.format import tetractl_pb2 as pb
-from tetractl.log.format.channels import FORMAT_VERSION, TEXT
+from tetractl.log.format.channels import FORMAT_VERSION, NOTE_LENGTH_MAX
 from tetractl.log.format.derived_messages import outcome_from_log, outcome_to_log
 
 
@@ -50,7 +50,7 @@ def encode_run(start: Start) -> pb.Run:
 
 
 def run_items(run: pb.Run) -> dict[str, str]:
-    """Return the fields of a run as strings, {name: value}.
+    """Return the fields of a run's record as strings, {name: value}.
 
     Facts about its plant are called `plant.KEY`.
     """
@@ -73,7 +73,7 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     verdict = result.verdict
     return pb.Result(
         outcome=outcome_to_log(result.outcome),
-        reason=printable(result.reason, TEXT),
+        reason=printable(result.reason, NOTE_LENGTH_MAX),
         steps=result.steps,
         duration_s=result.duration_s,
         total_error=result.total_error,
@@ -96,18 +96,18 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     )
 
 
-def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Result:
+def decode_result(message: pb.Result, host_end: pb.HostEnd | None, n_robots: int) -> Result:
     """Decode the result of a trial from a message of the log.
 
     Args:
-        message: The message.
-        end: The solve times. Without it, the result has none.
-        robots: Number of robots.
+        message: The message with the result.
+        host_end: The message with the solve times. If it is None, the result has no solve times.
+        n_robots: Number of robots.
 
     Raises:
         ValueError: If the number of robots differs, or the outcome does not exist.
     """
-    _require_robots(message, robots)
+    _require_robots(message, n_robots)
     return Result(
         outcome=Outcome(outcome_from_log(message.outcome)),
         reason=message.reason,
@@ -128,9 +128,9 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
             turn=tuple(message.turn),
             turn_std=tuple(message.turn_std),
         ),
-        solve_ns=tuple(end.solve_ns) if end else (),
-        deadline_misses=end.deadline_misses if end else 0,
-        drove=tuple(end.drove) if end else (),
+        solve_ns=tuple(host_end.solve_ns) if host_end else (),
+        deadline_misses=host_end.deadline_misses if host_end else 0,
+        drove=tuple(host_end.drove) if host_end else (),
         passed=tuple(message.passed),
         inside=tuple(message.inside),
         lost=tuple(message.lost),
@@ -138,7 +138,7 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
     )
 
 
-def _require_robots(message: pb.Result, robots: int) -> None:
+def _require_robots(message: pb.Result, n_robots: int) -> None:
     """Check that each column of a stored result has an entry for each robot.
 
     Some columns are optional. These are either complete or empty, and columns that belong together
@@ -149,9 +149,9 @@ def _require_robots(message: pb.Result, robots: int) -> None:
     """
     columns = [message.final_x, message.final_y, message.final_heading]
     columns += [message.robot_errors, message.entered, message.clearance]
-    may_lack = [[message.edge], [message.apart], [message.inside], [message.lost]]
-    for group in (*may_lack, [message.turn, message.turn_std]):
+    optional_columns = [[message.edge], [message.apart], [message.inside], [message.lost]]
+    for group in (*optional_columns, [message.turn, message.turn_std]):
         if any(group):
             columns += group
-    if any(len(column) != robots for column in columns):
+    if any(len(column) != n_robots for column in columns):
         raise ValueError("the result and the run have different numbers of robots")

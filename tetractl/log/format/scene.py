@@ -31,9 +31,10 @@ from tetractl.core.loggable import drawn
 from tetractl.core.poses import Floats, Frames
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note
-from tetractl.log.format.channels import TEXT
+from tetractl.log.format.channels import NOTE_LENGTH_MAX
 
 WORLD = "world"
+"""Name of the coordinate frame of the arena."""
 
 _LEVELS = {"debug": Log.DEBUG, "info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _STRIP = LinePrimitive.LINE_STRIP
@@ -43,12 +44,12 @@ _ANGLES = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
 _RING = np.column_stack([elementwise.cos(_ANGLES), elementwise.sin(_ANGLES)])
 
 
-def frame_of(name: str) -> str:
-    """Return the name of a robot's coordinate frame, by which viewers place the robot."""
+def robot_frame_id(name: str) -> str:
+    """Return the name of the coordinate frame in which viewers draw a robot."""
     return f"robot/{name}"
 
 
-def stamp(unix_ns: int) -> Timestamp:
+def to_timestamp(unix_ns: int) -> Timestamp:
     """Convert a time [Unix ns] to a protobuf time stamp."""
     return Timestamp(seconds=unix_ns // SECOND, nanos=unix_ns % SECOND)
 
@@ -60,8 +61,8 @@ def encode_note(note: Note, start_ns: int) -> Log:
         note: The message.
         start_ns: Time at which the trial started [Unix ns].
     """
-    timestamp = stamp(start_ns + note.t_ns)
-    message = printable(note.text, TEXT)
+    timestamp = to_timestamp(start_ns + note.t_ns)
+    message = printable(note.text, NOTE_LENGTH_MAX)
     return Log(timestamp=timestamp, level=_LEVELS[note.level], message=message, name="tetractl")
 
 
@@ -96,42 +97,44 @@ class Scene:
 
     def __init__(self, setup: Setup, exact: bool = False) -> None:
         self._setup = setup
-        self._round = np.asarray if exact else drawn
+        self._round_values = np.asarray if exact else drawn
         self._metres = setup.metres
-        self._colors = [_parse_color(text) for text in robot_colors(setup.names, setup.colors)]
-        body = BODY_FRACTION * min(setup.arena.width, setup.arena.height)
+        self._colors = [
+            _parse_color(hex_color) for hex_color in robot_colors(setup.names, setup.colors)
+        ]
+        body_size = BODY_FRACTION * min(setup.arena.width, setup.arena.height)
         if setup.wheel_radius:
-            body = 2 * setup.wheel_radius
-        self._body = body * self._metres
+            body_size = 2 * setup.wheel_radius
+        self._body_size_m = body_size * self._metres
 
-    def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[FrameTransforms]:
+    def transforms(self, frame_series: Sequence[Frames], start_ns: int) -> list[FrameTransforms]:
         """Convert camera frames to transforms, which place the coordinate frames of the robots.
 
         A robot has no transform for a camera frame in which it is untracked.
 
         Args:
-            parts: Consecutive series of camera frames.
+            frame_series: Consecutive series of camera frames.
             start_ns: Time at which the trial began [Unix ns].
 
         Returns:
-            One message for each of `parts`, whose transforms are ordered by robot.
+            One message for each of `frame_series`, whose transforms are ordered by robot.
         """
-        frames = Frames.joined(parts)
+        frames = Frames.joined(frame_series)
         has_pose = frames.valid & np.isfinite(frames.poses).all(axis=2)
-        times = [stamp(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
+        times = [to_timestamp(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
         robots, rows = np.nonzero(has_pose.T)
         x, y, heading = frames.poses[rows, robots].T
         half_turn = heading / 2
         sin_half_turn = elementwise.sin(half_turn)
         cos_half_turn = elementwise.cos(half_turn)
         numbers = (x * self._metres, y * self._metres, sin_half_turn, cos_half_turn)
-        poses = self._round(np.transpose(numbers)).tolist()
-        part_of_row = [index for index, part in enumerate(parts) for _ in part.numbers]
-        names = [frame_of(name) for name in self._setup.names]
-        transforms = [FrameTransforms() for _ in parts]
+        poses = self._round_values(np.transpose(numbers)).tolist()
+        series_of_row = [index for index, series in enumerate(frame_series) for _ in series.numbers]
+        names = [robot_frame_id(name) for name in self._setup.names]
+        transforms = [FrameTransforms() for _ in frame_series]
         tracked = zip(robots.tolist(), rows.tolist(), poses, strict=True)
         for robot, row, (x_m, y_m, sine, cosine) in tracked:
-            transforms[part_of_row[row]].transforms.add(
+            transforms[series_of_row[row]].transforms.add(
                 timestamp=times[row],
                 parent_frame_id=WORLD,
                 child_frame_id=names[robot],
@@ -148,7 +151,7 @@ class Scene:
             unix_ns: Time of the message [Unix ns].
         """
         entities: list[SceneEntity] = []
-        places_m = self._round(path[..., :2] * self._metres).swapaxes(0, 1)
+        places_m = self._round_values(path[..., :2] * self._metres).swapaxes(0, 1)
         for name, color, xy_m in zip(self._setup.names, self._colors, places_m, strict=True):
             line = self._make_line(xy_m, color)
             entities.append(self._make_entity(f"plan/{name}", unix_ns, lines=[line]))
@@ -172,7 +175,7 @@ class Scene:
         entities = [self._make_entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
             # an upright prism over its outline, as high as a robot
-            corners, triangles = prism(obstacle.outline() * self._metres, self._body)
+            corners, triangles = prism(obstacle.outline() * self._metres, self._body_size_m)
             block = TriangleListPrimitive(
                 pose=Pose(orientation=_UPRIGHT),
                 points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
@@ -194,19 +197,20 @@ class Scene:
         The square around the target is as wide as a robot, those around way-points half as wide.
         The ring has the hold's radius.
         """
-        half_width = self._body / 2 / self._metres
+        half_width = self._body_size_m / 2 / self._metres
         outlines = [half_width * _SQUARE + target]
         outlines += [half_width / 2 * _SQUARE + point for point in way_points]
         if self._setup.hold is not None:
             outlines.append(self._setup.hold.radius * _RING + target)
         lines = [
-            self._make_line(xy * self._metres, color, LinePrimitive.LINE_LOOP) for xy in outlines
+            self._make_line(outline * self._metres, color, LinePrimitive.LINE_LOOP)
+            for outline in outlines
         ]
         return self._make_entity(f"target/{name}", unix_ns, lines=lines)
 
     def _draw_robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
         """Draw a robot's body as a wedge that points along its heading, with the name above it."""
-        half_length = self._body / 2
+        half_length = self._body_size_m / 2
         corners = [
             Point3(x=half_length),
             Point3(x=-half_length, y=half_length),
@@ -214,7 +218,7 @@ class Scene:
         ]
         wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=corners, color=color)
         label = TextPrimitive(
-            pose=Pose(position=Vector3(z=self._body), orientation=_UPRIGHT),
+            pose=Pose(position=Vector3(z=self._body_size_m), orientation=_UPRIGHT),
             billboard=True,
             scale_invariant=True,
             font_size=14.0,
@@ -222,23 +226,27 @@ class Scene:
             text=name,
         )
         entity = self._make_entity(f"robot/{name}", unix_ns, triangles=[wedge], texts=[label])
-        entity.frame_id = frame_of(name)
+        entity.frame_id = robot_frame_id(name)
         return entity
 
     def _make_entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
         """Create a drawing that stays until it is replaced, and moves with its coordinate frame."""
         return SceneEntity(
-            timestamp=stamp(unix_ns), frame_id=WORLD, id=entity_id, frame_locked=True, **primitives
+            timestamp=to_timestamp(unix_ns),
+            frame_id=WORLD,
+            id=entity_id,
+            frame_locked=True,
+            **primitives,
         )
 
     def _make_line(
-        self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
+        self, xy: Floats, color: Color, line_type: LinePrimitive.Type.ValueType = _STRIP
     ) -> LinePrimitive:
         """Draw a line, 2 pixels wide, through the points xy (M, 2) [m] that are finite."""
         finite = xy[np.isfinite(xy).all(axis=1)]
         points = [Point3(x=x, y=y) for x, y in finite.tolist()]
         return LinePrimitive(
-            type=kind,
+            type=line_type,
             pose=Pose(orientation=_UPRIGHT),
             thickness=2.0,
             scale_invariant=True,
@@ -283,12 +291,12 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
     corners = list(range(len(outline)))  # indices of the corners that are not cut off yet
     triangles = []
     while len(corners) > 3:
-        before = corners[-1:] + corners[:-1]
-        after = corners[1:] + corners[:1]
-        at_corners = list(zip(before, corners, after, strict=True))
-        ears = (triangle for triangle in at_corners if _is_ear(outline, corners, triangle))
+        previous_corners = corners[-1:] + corners[:-1]
+        next_corners = corners[1:] + corners[:1]
+        candidates = list(zip(previous_corners, corners, next_corners, strict=True))
+        ears = (triangle for triangle in candidates if _is_ear(outline, corners, triangle))
         # rounding may leave no ear among nearly collinear corners: any corner may then be cut
-        ear = next(ears, at_corners[0])
+        ear = next(ears, candidates[0])
         triangles.append(ear)
         corners.remove(ear[1])
     return np.array([*triangles, corners], dtype=np.int64)

@@ -8,18 +8,25 @@ from pathlib import Path
 from tetractl.core.errors import UsageError
 
 SUFFIX = ".mcap"
+"""End of the name of a complete log."""
 LOG_PART = ".mcap.part"
 """End of the name of a log whose trial is still running, or has not ended properly."""
 RECOVERED_SUFFIX = ".recovered.mcap"
+"""End of the name of a log that was recovered from a damaged log."""
 _NO_LOGS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
 _SET_ASIDE = re.compile(r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$")
 
 
 def attempt_name(log: str, number: int) -> str:
-    """Return the new name of a log that `--resume` sets aside, such as trial-003.attempt-1.mcap."""
-    stem, suffix, rest = log.partition(RECOVERED_SUFFIX if RECOVERED_SUFFIX in log else SUFFIX)
-    return f"{stem}.attempt-{number}{suffix}{rest}"
+    """Return the new name of a log that `--resume` sets aside, such as trial-003.attempt-1.mcap.
+
+    Args:
+        log: Present name of the log.
+        number: Number of the attempt, from 1.
+    """
+    stem, suffix, remainder = log.partition(RECOVERED_SUFFIX if RECOVERED_SUFFIX in log else SUFFIX)
+    return f"{stem}.attempt-{number}{suffix}{remainder}"
 
 
 def is_set_aside(name: str) -> bool:
@@ -28,12 +35,12 @@ def is_set_aside(name: str) -> bool:
 
 
 def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]:
-    """Return the logs in some paths, each once, in the order given.
+    """Find the logs in files, folders and patterns. Each log is listed once, in the given order.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in numerical order. A .part file
-    counts as a log, since a crashed trial belongs to its batch, unless the finished log exists
-    too. A recovered log is left out if its source is among the paths.
+    counts as a log unless the finished log also exists, because a crashed trial belongs to its
+    batch. A recovered log is left out if its source is among the paths.
 
     Args:
         paths: The paths. Files whose endings show that they are not logs are left out.
@@ -43,13 +50,15 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
         UsageError: If a path does not exist, or a folder or a pattern contains no logs.
     """
     logs: dict[Path, Path] = {}  # by the real path
-    for path in without_others(paths):
+    for path in without_other_files(paths):
         for log in _expand(path, attempts):
             logs.setdefault(log.resolve(), log)
-    return [log for real, log in logs.items() if not _sources(real) & logs.keys()]
+    return [
+        log for real_path, log in logs.items() if not _possible_sources(real_path) & logs.keys()
+    ]
 
 
-def without_others(paths: Iterable[Path | str]) -> list[Path]:
+def without_other_files(paths: Iterable[Path | str]) -> list[Path]:
     """Leave out the files whose endings show that they are not logs, such as .csv and .png.
 
     A pattern such as `logs/slip/*` also matches such files: besides the folders of its arms, a
@@ -61,8 +70,10 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     listed = [Path(path) for path in paths]
     remaining = [path for path in listed if not (_NO_LOGS.search(path.name) and path.is_file())]
     if listed and not remaining:
-        first = listed[0]
-        raise UsageError(f"{first}: this is not a log (*{SUFFIX})", _hint_without_logs(first))
+        first_path = listed[0]
+        raise UsageError(
+            f"{first_path}: this is not a log (*{SUFFIX})", _hint_without_logs(first_path)
+        )
     return remaining
 
 
@@ -73,17 +84,17 @@ def _hint_without_logs(path: Path) -> str | None:
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return f"run it with: tetractl run {path}"
-    logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural)
+    logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural_sort_key)
     if logs:
         return f"name the log of a trial, such as {logs[0]}"
     return f"name the folder instead: {path.parent}" if path.parent.name else None
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the only log in a path.
+    """Find the only log in a path.
 
     Raises:
-        UsageError: If there is no log, or more than one.
+        UsageError: If there is no log, or more than one log.
     """
     logs = find_logs([path])
     if len(logs) > 1:
@@ -91,8 +102,11 @@ def find_log(path: Path | str) -> Path:
     return logs[0]
 
 
-def _sources(log: Path) -> set[Path]:
-    """Return the paths of the logs from which a recovered log may come; empty for any other log."""
+def _possible_sources(log: Path) -> set[Path]:
+    """Return the paths of the logs from which a recovered log may have been copied.
+
+    The result is empty for a log that was not recovered.
+    """
     if not log.name.endswith(RECOVERED_SUFFIX):
         return set()
     stem = log.name.removesuffix(RECOVERED_SUFFIX)
@@ -101,7 +115,7 @@ def _sources(log: Path) -> set[Path]:
 
 def _expand(path: Path, attempts: bool) -> list[Path]:
     if path.is_dir():
-        logs = _in_folder(path, attempts)
+        logs = _logs_in_folder(path, attempts)
         if not logs:
             hint = (
                 "if these are tables, give the files of poses and of commands to "
@@ -120,29 +134,29 @@ def _expand(path: Path, attempts: bool) -> list[Path]:
         raise UsageError(f"{path}: there is no such file or folder")
     logs = [
         log
-        for match in _matches(path)
-        for log in (_in_folder(match, attempts) or _logs([match], attempts))
+        for match in _matching_paths(path)
+        for log in (_logs_in_folder(match, attempts) or _filter_logs([match], attempts))
     ]
     if not logs:
         raise UsageError(f"{path}: no log matches this pattern")
     return logs
 
 
-def _matches(pattern: Path) -> list[Path]:
+def _matching_paths(pattern: Path) -> list[Path]:
     root = Path(pattern.anchor)  # Path.glob refuses absolute patterns
     try:
         matches = root.glob(str(pattern.relative_to(root)))
-        return sorted(matches, key=_natural)
+        return sorted(matches, key=_natural_sort_key)
     except ValueError as error:
         raise UsageError(f"{pattern}: {error}") from None
 
 
-def _in_folder(folder: Path, attempts: bool) -> list[Path]:
-    logs = set(_logs(folder.rglob("*"), attempts))
-    return sorted((log for log in logs if log.with_suffix("") not in logs), key=_natural)
+def _logs_in_folder(folder: Path, attempts: bool) -> list[Path]:
+    logs = set(_filter_logs(folder.rglob("*"), attempts))
+    return sorted((log for log in logs if log.with_suffix("") not in logs), key=_natural_sort_key)
 
 
-def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
+def _filter_logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
     return [
         path
         for path in paths
@@ -150,7 +164,7 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
     ]
 
 
-def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
+def _natural_sort_key(path: Path) -> list[list[tuple[int, int, str]]]:
     """Return a sorting key that puts trial-2 before trial-10, and x=0/t before x=0.1/t.
 
     Numbers in the parts of the path count by their value.
@@ -158,5 +172,7 @@ def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
     key: list[list[tuple[int, int, str]]] = []
     for part in path.parts:
         pieces = re.split(r"(\d+)", part)
-        key.append([(int(p), 1, "") if p.isdecimal() else (0, 0, p) for p in pieces])
+        key.append(
+            [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]
+        )
     return key

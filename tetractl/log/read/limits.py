@@ -2,7 +2,7 @@
 
 There are three limits: the bytes of the file, the bytes of a chunk, and the processor time. A log
 within these limits can contain more than an hour of a trial at 120 Hz. For a longer trial, the
-environment variable that FACTOR names raises the limits on a whole file.
+environment variable that FACTOR_VARIABLE names raises the limits on a whole file.
 """
 
 import math
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tetractl.core.errors import LogError
 
-FACTOR = "TETRACTL_LOG_FACTOR"
+FACTOR_VARIABLE = "TETRACTL_LOG_FACTOR"
 """Environment variable whose value, 1 by default, multiplies the limits for a whole file."""
 
 CHUNK_MAX = 1 << 24
@@ -35,22 +35,22 @@ def seconds_limit() -> float:
     return 15 * _factor()
 
 
-def too_much(path: Path, what: str) -> LogError:
+def limit_error(path: Path, excess: str) -> LogError:
     """Create the error for a file that exceeds a limit.
 
     Args:
         path: The file.
-        what: What there is too much of, as part of the message.
+        excess: Describes what exceeds the limit, as part of the message, such as "9 bytes".
     """
     return LogError(
-        f"{path}: the log contains {what}, more than tetractl reads; with {FACTOR}=2, it "
-        "reads twice as much"
+        f"{path}: the log contains {excess}, more than tetractl reads; "
+        f"with {FACTOR_VARIABLE}=2, it reads twice as much"
     )
 
 
 def _factor() -> float:
     with suppress(ValueError):
-        factor = float(os.environ.get(FACTOR, "1"))
+        factor = float(os.environ.get(FACTOR_VARIABLE, "1"))
         if math.isfinite(factor):
             return max(1.0, factor)
     return 1.0

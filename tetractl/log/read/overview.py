@@ -9,7 +9,7 @@ from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
-from tetractl.log.read.raw_log import ALTERED, RawLog
+from tetractl.log.read.raw_log import ALTERED_TEXT, RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
@@ -20,8 +20,8 @@ class ChannelCount:
     """The number, rate and size of the messages of one channel.
 
     Attributes:
-        topic: Its topic.
-        schema: Name of its schema.
+        topic: Topic of the channel.
+        schema: Name of the channel's schema.
         messages: Number of messages.
         hz: Messages per second of trial time [Hz]. None if all have the same time.
         bytes: Size of the messages before compression [bytes].
@@ -30,8 +30,8 @@ class ChannelCount:
     topic: str
     schema: str
     messages: int
-    hz: float | None  # None if all messages have the same time
-    bytes: int  # before compression
+    hz: float | None
+    bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +86,11 @@ def overview(path: Path) -> Overview:
     trial = trial_of(contents)
     damage = trial.damage
     if contents.altered:
-        before = damage or Damage((), ())
-        damage = Damage((*before.problems, ALTERED), before.lost)
-    last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
+        earlier_damage = damage or Damage((), ())
+        damage = Damage((*earlier_damage.problems, ALTERED_TEXT), earlier_damage.lost)
+    estimated_step = next(
+        (step for step in reversed(trial.steps) if step.plan.estimate is not None), None
+    )
     return Overview(
         log=str(path),
         size=contents.size,
@@ -96,10 +98,12 @@ def overview(path: Path) -> Overview:
         run=run_items(contents.run) | {"mode": trial.origin.value},
         result=trial.result,
         events=trial.events,
-        estimate=last.plan.estimate if last else None,
-        estimate_step=last.k if last else None,
+        estimate=estimated_step.plan.estimate if estimated_step else None,
+        estimate_step=estimated_step.k if estimated_step else None,
         channels=channel_counts(contents),
-        attachments={name: len(item.data) for name, item in contents.attachments.items()},
+        attachments={
+            name: len(attachment.data) for name, attachment in contents.attachments.items()
+        },
         host={key: value for key, value in trial.facts.items() if not is_version(key)},
         provenance={key: value for key, value in trial.facts.items() if is_version(key)},
         digest=contents.content_digest,
@@ -116,13 +120,13 @@ def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
     counts: list[ChannelCount] = []
-    for topic, entries in sorted(contents.by_topic.items()):
+    for topic, entries in sorted(contents.entries_by_topic.items()):
         if not entries:
             continue
         times_ns = [entry.log_ns for entry in entries]
         span_ns = max(times_ns) - min(times_ns)
-        hz = (len(entries) - 1) * SECOND / span_ns if span_ns else None
+        rate_hz = (len(entries) - 1) * SECOND / span_ns if span_ns else None
         size = sum(len(entry.data) for entry in entries)
         schema = schemas.get(topic, "")
-        counts.append(ChannelCount(topic, schema, len(entries), hz, size))
+        counts.append(ChannelCount(topic, schema, len(entries), rate_hz, size))
     return tuple(counts)

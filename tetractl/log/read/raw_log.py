@@ -22,33 +22,44 @@ from tetractl.log.format.channels import Entry, Record
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.run_records import decode_facts
 from tetractl.log.format.tetractl_pb2 import Digests, Run
-from tetractl.log.read.limits import file_limit, too_much
+from tetractl.log.read.limits import file_limit, limit_error
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
-ALTERED = "the content of the log does not match the digest stated in it"
-UNKNOWN = "an unknown program"
+ALTERED_TEXT = "the content of the log does not match the digest stated in it"
+UNKNOWN_PROGRAM = "an unknown program"
 BEFORE_ATTACHMENTS = (channels.RUN, channels.HOST)
 """Topics of the messages that tetractl writes before the first attachment."""
 
 
 @dataclass(frozen=True)
 class RawLog:
-    """The intact records of a log file; `problems` and `lost` are empty for an undamaged file.
+    """The intact records of a log file.
 
     A log ends with two digests that its writer has computed, one of the content and one of the host
-    records. If the digests of the records in the file differ from them, the log was altered.
+    records. If the digests of the records in the file differ from these, the log was altered.
+
+    Attributes:
+        path: Path of the file.
+        size: Size of the file [bytes].
+        records: The intact messages and attachments, in file order.
+        chunks: Number of intact chunks.
+        problems: Damaged records of the file. Empty for an undamaged file.
+        lost: Descriptions of lost records. Empty for an undamaged file.
+        channels: The recorded channels with their schemas, by topic.
+        library: Name of the program that wrote the file.
+        has_loose_messages: Whether the file has messages outside chunks.
     """
 
     path: Path
-    size: int = 0  # bytes
-    records: list[Record] = field(default_factory=list)  # in file order
+    size: int = 0
+    records: list[Record] = field(default_factory=list)
     chunks: int = 0
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
-    channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
-    library: str = ""  # the program that wrote the file
-    has_loose_messages: bool = False  # outside chunks
+    channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)
+    library: str = ""
+    has_loose_messages: bool = False
 
     @cached_property
     def entries(self) -> list[Entry]:
@@ -56,12 +67,12 @@ class RawLog:
         return [record for record in self.records if isinstance(record, Entry)]
 
     @cached_property
-    def by_topic(self) -> dict[str, list[Entry]]:
+    def entries_by_topic(self) -> dict[str, list[Entry]]:
         """The messages of each topic of the log, in the order of the file."""
-        by_topic: dict[str, list[Entry]] = defaultdict(list)
+        entries_by_topic: dict[str, list[Entry]] = defaultdict(list)
         for entry in self.entries:
-            by_topic[entry.topic].append(entry)
-        return by_topic
+            entries_by_topic[entry.topic].append(entry)
+        return entries_by_topic
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
@@ -72,10 +83,10 @@ class RawLog:
                 by_name.setdefault(record.name, record)
         return by_name
 
-    def text(self, name: str) -> str | None:
-        """Return the attachment with this name as text.
+    def attachment_text(self, name: str) -> str | None:
+        """Return the contents of the attachment with this name as text.
 
-        The result is None if the attachment is lost.
+        The result is None if the attachment is missing.
         """
         attachment = self.attachments.get(name)
         return None if attachment is None else attachment.data.decode(errors="replace")
@@ -86,10 +97,10 @@ class RawLog:
         Raises DecodeError at a message that cannot be decoded.
         """
         decode = channels.CHANNELS[topic].FromString
-        return (decode(entry.data) for entry in self.by_topic[topic])
+        return (decode(entry.data) for entry in self.entries_by_topic[topic])
 
-    def _stated(self, topic: str) -> Any:
-        """Return the first message of a topic. It is empty if the message is lost or unreadable."""
+    def _first_message(self, topic: str) -> Any:
+        """Return the first message of a topic, or an empty message if it is lost or unreadable."""
         with suppress(DecodeError, ValueError):
             return next(self.messages(topic), channels.CHANNELS[topic]())
         return channels.CHANNELS[topic]()
@@ -99,25 +110,25 @@ class RawLog:
         """The message `/run` of the log, which identifies the trial.
 
         Raises:
-            LogError: If it is lost, unreadable or of another format.
+            LogError: If the message is lost, unreadable or of another format.
         """
-        if not self.by_topic[channels.RUN]:
-            raise self._without_run()
+        if not self.entries_by_topic[channels.RUN]:
+            raise self._missing_run_error()
         try:
             run = next(self.messages(channels.RUN))
         except (DecodeError, ValueError) as error:
-            text = f"the record of the run cannot be read: {_reason(error)}"
-            raise LogError(f"{self.path}: {text}") from None
+            problem = f"the record of the run cannot be read: {_reason(error)}"
+            raise LogError(f"{self.path}: {problem}") from None
         if run.format_version != channels.FORMAT_VERSION:
-            text = (
+            problem = (
                 f"is in format {run.format_version}, but this version of tetractl reads "
                 f"format {channels.FORMAT_VERSION}"
             )
-            text += f"; read the log with the version that wrote it, {writer(self.facts)}"
-            raise LogError(f"{self.path}: {text}")
+            problem += f"; read the log with the version that wrote it, {writer(self.facts)}"
+            raise LogError(f"{self.path}: {problem}")
         return run
 
-    def _without_run(self) -> LogError:
+    def _missing_run_error(self) -> LogError:
         """Create the error for a log that lacks the record which identifies its trial."""
         if self.has_loose_messages:
             return LogError(
@@ -127,10 +138,10 @@ class RawLog:
             )
         if self.problems:
             return LogError(f"{self.path}: the log is damaged, and the record of the run is lost")
-        text = (
+        problem = (
             f"this is an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
         )
-        return LogError(f"{self.path}: {text}")
+        return LogError(f"{self.path}: {problem}")
 
     @property
     def result(self) -> Result | None:
@@ -142,7 +153,7 @@ class RawLog:
 
     @property
     def damaged(self) -> bool:
-        """Whether records were lost, or there is no readable result, or a recovery lost some.
+        """Whether the log has lost records, itself or before a recovery, or has no readable result.
 
         `TrialLog.damage` describes the damage.
         """
@@ -150,15 +161,15 @@ class RawLog:
 
     @cached_property
     def result_or_why_not(self) -> Result | str:
-        """The result of the trial, or a message about why it cannot be read."""
-        if not self.by_topic[channels.RESULT]:
+        """The result of the trial, or a message that explains why the result cannot be read."""
+        if not self.entries_by_topic[channels.RESULT]:
             return (
                 "the log has no result, because the run was cut short or the end of the log is lost"
             )
         try:
             message = next(self.messages(channels.RESULT))
-            end = next(self.messages(channels.HOST_END), None)
-            return stated_result(message, end, len(self.run.robots), self.run.unit)
+            host_end = next(self.messages(channels.HOST_END), None)
+            return stated_result(message, host_end, len(self.run.robots), self.run.unit)
         except (DecodeError, LogError, OverflowError, ValueError) as error:
             return f"the result has values that tetractl never writes: {_reason(error)}"
 
@@ -166,14 +177,14 @@ class RawLog:
     def warnings(self) -> int:
         """Number of warnings and errors among the operator messages, as stored in the log.
 
-        It is 0 if the log does not contain the number.
+        The value is 0 if the log does not contain the number.
         """
-        return max(0, self._stated(channels.RESULT).warnings)
+        return max(0, self._first_message(channels.RESULT).warnings)
 
     @cached_property
     def stated_digests(self) -> Digests:
-        """The digests stored in the log. They are empty if it contains none."""
-        return self._stated(channels.DIGESTS)
+        """The digests stored in the log. They are empty if the log contains none."""
+        return self._first_message(channels.DIGESTS)
 
     @cached_property
     def computed_digests(self) -> Digests:
@@ -190,10 +201,13 @@ class RawLog:
         Other programs move attachments to another place.
         """
         attachments = [record for record in self.records if isinstance(record, Attachment)]
-        before = 0
-        while before < len(self.entries) and self.entries[before].topic in BEFORE_ATTACHMENTS:
-            before += 1
-        return [*self.entries[:before], *attachments, *self.entries[before:]]
+        leading_count = 0
+        while (
+            leading_count < len(self.entries)
+            and self.entries[leading_count].topic in BEFORE_ATTACHMENTS
+        ):
+            leading_count += 1
+        return [*self.entries[:leading_count], *attachments, *self.entries[leading_count:]]
 
     @property
     def content_digest(self) -> str:
@@ -230,8 +244,8 @@ class RawLog:
         their attachments are in another place.
         """
         if not self.library.startswith(channels.WRITER):
-            return self.library or UNKNOWN
-        return "" if self.records == self._in_tetractls_order else UNKNOWN
+            return self.library or UNKNOWN_PROGRAM
+        return "" if self.records == self._in_tetractls_order else UNKNOWN_PROGRAM
 
     @property
     def reordered(self) -> bool:
@@ -241,7 +255,9 @@ class RawLog:
         """
         if not self.rewritten_by:
             return False
-        return all(entry.log_ns <= later.log_ns for entry, later in pairwise(self.entries))
+        return all(
+            entry.log_ns <= next_entry.log_ns for entry, next_entry in pairwise(self.entries)
+        )
 
     @cached_property
     def recovered(self) -> Damage | None:
@@ -249,9 +265,9 @@ class RawLog:
 
         The value is None if this log was not recovered, or if the original had lost nothing.
         """
-        if not self.by_topic[channels.RECOVERED]:
+        if not self.entries_by_topic[channels.RECOVERED]:
             return None
-        record = self._stated(channels.RECOVERED)
+        record = self._first_message(channels.RECOVERED)
         if record.source and not record.lost:
             return None
         source = f"this log was recovered from {record.source or 'another log'}, which was damaged"
@@ -266,11 +282,11 @@ class RawLog:
 
         The value is empty if the facts are lost.
         """
-        return decode_facts(self._stated(channels.HOST).facts)
+        return decode_facts(self._first_message(channels.HOST).facts)
 
 
 def _reason(error: Exception) -> str:
-    """Return the message of an error in decoding a record, as one line."""
+    """Return the message of a decoding error in one line."""
     return printable(str(error) or type(error).__name__, 200)
 
 
@@ -281,7 +297,7 @@ def read_file(path: Path) -> bytes:
     page would kill the process.
 
     Raises:
-        LogError: If it is no file, is empty or too large, or cannot be read.
+        LogError: If the path is not a regular file, or the file is empty, too large or unreadable.
     """
     try:
         size = path.stat().st_size
@@ -290,7 +306,7 @@ def read_file(path: Path) -> bytes:
         if not path.is_file():  # reading a FIFO may never end
             raise LogError(f"{path}: this is not a regular file")
         if size > file_limit():
-            raise too_much(path, f"{size} bytes")
+            raise limit_error(path, f"{size} bytes")
         data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from None

@@ -51,28 +51,28 @@ def read_trial(path: Path) -> TrialLog:
     return trial_of(scan(Path(path)))
 
 
-def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
+def trial_of(contents: RawLog, steps_max: int | None = None) -> TrialLog:
     """Decode the trial in a scanned file.
 
     Args:
         contents: The records of the file.
-        steps: Maximum number of control steps to decode, from the first. None for all.
+        steps_max: Maximum number of control steps to decode, from the first. None for all.
 
     Raises:
         LogError: If the log has lost its spec, or contains values that tetractl does not write.
     """
-    experiment, start = _start(contents)
+    experiment, start = _decode_start(contents)
     start_ns = start.start_unix_ns
-    robots = len(start.setup.names)
+    n_robots = len(start.setup.names)
     with decode_errors(contents):
-        frames = _frames(contents, robots)
+        frames = _decode_frames(contents, n_robots)
         commands = tuple(map(codec.decode_command, contents.messages(channels.COMMANDS)))
-        validate.check_commands(commands, robots)
-        decided = _steps(contents, robots, steps)
+        validate.check_commands(commands, n_robots)
+        control_steps = _decode_steps(contents, n_robots, steps_max)
         notes = [decode_note(message, start_ns) for message in contents.messages(channels.LOG)]
         pictures = [
             (entry.publish_ns - start_ns, CompressedImage.FromString(entry.data).data)
-            for entry in contents.by_topic[channels.PICTURE]
+            for entry in contents.entries_by_topic[channels.PICTURE]
         ]
     stops = [command for command in commands if command.stops]
     trial = TrialLog(
@@ -83,7 +83,7 @@ def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
         mocap=frames.poses,
         valid=frames.valid,
         truth=frames.truth if start.plant.simulated else None,
-        steps=decided,
+        steps=control_steps,
         stop=stops[-1] if stops else None,
         result=contents.result,
         damage=None,
@@ -92,11 +92,13 @@ def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
         received_ns=frames.received_ns,
         exposed_ns=frames.exposed_ns,
         commands=commands,
-        notes=tuple(replace(note, text=printable(note.text, channels.TEXT)) for note in notes),
+        notes=tuple(
+            replace(note, text=printable(note.text, channels.NOTE_LENGTH_MAX)) for note in notes
+        ),
         digest=contents.stated_digests.content or None,
         pictures=tuple(pictures),
     )
-    return replace(trial, damage=_damage(contents, trial)) if contents.damaged else trial
+    return replace(trial, damage=_describe_damage(contents, trial)) if contents.damaged else trial
 
 
 @contextmanager
@@ -113,8 +115,8 @@ def decode_errors(contents: RawLog) -> Iterator[None]:
         ) from None
 
 
-def _damage(contents: RawLog, trial: TrialLog) -> Damage:
-    """Describe whether a log is torn, recovered or unfinished. `trial` is its intact part."""
+def _describe_damage(contents: RawLog, trial: TrialLog) -> Damage:
+    """Describe the damage of a torn, recovered or unfinished log. `trial` is its intact part."""
     source = contents.recovered or Damage((), ())
     problems = [*source.problems, *contents.problems]
     lost = [*source.lost, *contents.lost]
@@ -127,12 +129,19 @@ def _damage(contents: RawLog, trial: TrialLog) -> Damage:
     return Damage(tuple(problems), tuple(lost))
 
 
-def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
-    """Describe what a log without a result has lost: everything after its last record.
+def _all_after(trial: TrialLog, record_kind: str, last_ns: int | None) -> str:
+    """Describe the lost records of one kind in a log without a result: all after the last record.
 
-    `last_ns` is the time of that record, or None if the log has no record with a time.
+    Args:
+        trial: The intact part of the log.
+        record_kind: The kind of records, such as "camera frames".
+        last_ns: Time of the last record of this kind [ns]. None if the log has none.
     """
-    return f"all {what}" if last_ns is None else f"{what} after {trial.elapsed_s(last_ns):.3f} s"
+    return (
+        f"all {record_kind}"
+        if last_ns is None
+        else f"{record_kind} after {trial.elapsed_s(last_ns):.3f} s"
+    )
 
 
 def read_result(path: Path) -> ResultSummary:
@@ -148,15 +157,15 @@ def read_result(path: Path) -> ResultSummary:
 
 
 def result_of(contents: RawLog) -> ResultSummary:
-    """Return the result of the trial in a scanned file.
+    """Decode only the result of the trial in a scanned file.
 
     If the result is lost, the frames and steps are decoded, and the result is computed from the
     last poses. Raises LogError if the log has no poses either.
     """
-    experiment, start = _start(contents)
+    experiment, start = _decode_start(contents)
     result = contents.result
     if result is None:
-        result = _result_of_poses(trial_of(contents))
+        result = _result_from_poses(trial_of(contents))
     return ResultSummary(
         log=str(contents.path),
         experiment=experiment,
@@ -167,11 +176,11 @@ def result_of(contents: RawLog) -> ResultSummary:
         recovered=contents.damaged,
         digest=contents.stated_digests.content or None,
         warnings=contents.warnings,
-        code=contents.facts.get(provenance.CODE, ""),
+        code=contents.facts.get(provenance.TRIAL_CODE_KEY, ""),
     )
 
 
-def _result_of_poses(trial: TrialLog) -> Result:
+def _result_from_poses(trial: TrialLog) -> Result:
     """Compute the result of a trial from the poses in its log, assuming that it ended there.
 
     The true path is used for a simulation, otherwise the measured one. Raises LogError if a robot
@@ -180,8 +189,8 @@ def _result_of_poses(trial: TrialLog) -> Result:
     path, has_pose = trial_path(trial)
     if not has_pose.any(axis=0).all():
         raise LogError(f"{trial.log}: the log contains no result, and no poses to compute it from")
-    last = len(path) - 1 - has_pose[::-1].argmax(axis=0)
-    final = Poses.from_array(path[last, np.arange(path.shape[1])])
+    last_rows = len(path) - 1 - has_pose[::-1].argmax(axis=0)
+    final = Poses.from_array(path[last_rows, np.arange(path.shape[1])])
     return Result.from_verdict(
         trial.start.setup,
         check_path(trial.start.setup, path, has_pose, final),
@@ -198,7 +207,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
 def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
     """Return the poses (M, N, 3) by which a trial is evaluated, and which of them are known (M, N).
 
-    These are the true poses of a simulation and the measured poses in a lab.
+    For a simulation, these are the true poses. For a lab, they are the measured poses.
     """
     if trial.truth is None:
         return trial.mocap, trial.valid & np.isfinite(trial.mocap).all(axis=2)
@@ -214,14 +223,14 @@ def content_digest(path: Path) -> str:
     return scan(Path(path)).content_digest
 
 
-def _start(contents: RawLog) -> tuple[Experiment, Start]:
-    """Return the experiment and the start of a trial, from the messages of its log.
+def _decode_start(contents: RawLog) -> tuple[Experiment, Start]:
+    """Decode the experiment and the start of a trial from the records of its log.
 
     Raises:
-        LogError: If they cannot be read.
+        LogError: If one of them cannot be read.
     """
     run = contents.run
-    resolved = contents.text(channels.RESOLVED_SPEC)
+    resolved = contents.attachment_text(channels.RESOLVED_SPEC)
     if resolved is None:
         raise LogError(f"{contents.path}: the log is damaged, and its resolved spec is lost")
     if len(resolved) > MAX_BYTES:
@@ -230,18 +239,18 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         )
     try:
         experiment, spec_hash = _parse_spec(resolved)
-        robots = len(experiment.robots)
-        if len(run.robots) != robots:
+        n_robots = len(experiment.robots)
+        if len(run.robots) != n_robots:
             raise ValueError(
-                f"the record of the run has {len(run.robots)} robots, but its spec has {robots}"
+                f"the record of the run has {len(run.robots)} robots, but its spec has {n_robots}"
             )
         if not np.isfinite(run.camera_rate_hz):
             raise ValueError(f"camera_rate_hz is {run.camera_rate_hz!r}")
     except (SpecError, RecursionError, ValueError) as error:
         plugins = [
-            f"{key.removeprefix(provenance.PLUGIN)} {version}"
+            f"{key.removeprefix(provenance.PLUGIN_PREFIX)} {version}"
             for key, version in contents.facts.items()
-            if key.startswith(provenance.PLUGIN)
+            if key.startswith(provenance.PLUGIN_PREFIX)
         ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
@@ -250,7 +259,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         ) from None
     return experiment, Start(
         setup=experiment.setup,
-        spec_text=contents.text(channels.SPEC) or "",
+        spec_text=contents.attachment_text(channels.SPEC) or "",
         spec_name=run.spec_name,
         resolved=resolved,
         spec_hash=spec_hash,
@@ -259,35 +268,37 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         plant=PlantInfo(run.plant, run.mode == "sim", run.camera_rate_hz, decode_facts(run.facts)),
         start_unix_ns=run.start_unix_ns,
         attached=tuple(
-            (name, item.data.decode(errors="replace"))
-            for name, item in contents.attachments.items()
+            (name, attachment.data.decode(errors="replace"))
+            for name, attachment in contents.attachments.items()
             if name not in OWN_FILES
         ),
     )
 
 
 @lru_cache(maxsize=16)
-def _parse_spec(text: str) -> tuple[Experiment, str]:
+def _parse_spec(resolved: str) -> tuple[Experiment, str]:
     """Parse the resolved spec in a log, and return the experiment and the spec's hash."""
-    spec = parse_written(text, channels.RESOLVED_SPEC)
+    spec = parse_written(resolved, channels.RESOLVED_SPEC)
     return spec.experiment, spec.hash
 
 
-def _frames(contents: RawLog, robots: int) -> Frames:
+def _decode_frames(contents: RawLog, n_robots: int) -> Frames:
     """Decode all camera frames of a trial with N robots."""
-    none = Frames.from_samples((), robots)  # a log may have no frames
+    no_frames = Frames.from_samples((), n_robots)  # a log may have no frames
     messages = contents.messages(channels.FRAMES)
-    frames = Frames.joined([none, *(codec.decode_frames(part, robots) for part in messages)])
+    frames = Frames.joined(
+        [no_frames, *(codec.decode_frames(message, n_robots) for message in messages)]
+    )
     validate.check_frames(frames)
     return frames
 
 
-def _steps(contents: RawLog, robots: int, steps_max: int | None) -> tuple[Step, ...]:
+def _decode_steps(contents: RawLog, n_robots: int, steps_max: int | None) -> tuple[Step, ...]:
     """Decode at most `steps_max` control steps of N robots, with their solve times."""
     timings = {timing.k: timing for timing in contents.messages(channels.HOST_TIMING)}
     messages = islice(contents.messages(channels.STEP), steps_max)
     steps = tuple(
-        codec.decode_step(message, timings.get(message.k), robots) for message in messages
+        codec.decode_step(message, timings.get(message.k), n_robots) for message in messages
     )
-    validate.check_steps(steps, robots)
+    validate.check_steps(steps, n_robots)
     return steps

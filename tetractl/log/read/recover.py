@@ -26,12 +26,12 @@ class Recovery:
     """The result of an attempt to save the intact part of a damaged log.
 
     Attributes:
-        source: The log.
-        path: The copy of its intact records. None if nothing was copied.
+        source: Path of the damaged log.
+        path: Path of the copy of its intact records. None if nothing was copied.
         chunks: Number of intact chunks.
         messages: Number of intact messages.
         attachments: Number of intact attachments.
-        damage: The damage.
+        damage: The damage of the log.
     """
 
     source: str
@@ -43,7 +43,7 @@ class Recovery:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing of the log was lost."""
+        """Whether all records of the log are intact."""
         return not self.damage.lost
 
 
@@ -61,9 +61,16 @@ def recovered_path(log: Path) -> Path:
 def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk and attachment of a log to a complete file.
 
-    The file is `out`, or `recovered_path` by default. An undamaged log is copied only if `out` is
-    given. An unfinished copy of an earlier call is replaced. Raises LogError if nothing can be
-    read, if the file exists already, or if another process is writing it.
+    An unfinished copy of an earlier call is replaced.
+
+    Args:
+        log: Path of the log.
+        out: Path of the complete file. By default, `recovered_path` if the log is damaged. An
+            undamaged log is not copied by default.
+
+    Raises:
+        LogError: If nothing can be read, if the file exists already, or if another process is
+            writing the file.
     """
     contents = scan(log)
     if not contents.records:
@@ -88,24 +95,22 @@ def _examine(contents: RawLog) -> Damage:
     try:
         trial = trial_of(contents)
     except LogError as error:
-        why = error.message.removeprefix(f"{contents.path}: ")
+        problem = error.message.removeprefix(f"{contents.path}: ")
         lost = (*contents.lost, "records that reading a log requires")
-        return Damage((*contents.problems, why), lost)
+        return Damage((*contents.problems, problem), lost)
     problems = trial.damage.problems if trial.damage else ()
     return Damage(problems, losses(contents, trial))
 
 
-def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
-    """Describe what a log has lost, one sentence each.
+def losses(raw_log: RawLog, trial: TrialLog) -> tuple[str, ...]:
+    """Describe the lost records of a log, one sentence each.
 
-    The result is empty if nothing is lost.
-
-    Nothing is lost if its records match both digests that it states, unless its source had lost
-    something.
+    The result is empty if nothing is lost: the log's records match both digests stored in it, and
+    the log was not recovered from a log that had lost records.
     """
     lost = trial.damage.lost if trial.damage else ()
-    if trial.digest and not raw.altered and not raw.host_altered:
-        return lost if raw.recovered else ()
+    if trial.digest and not raw_log.altered and not raw_log.host_altered:
+        return lost if raw_log.recovered else ()
     gaps = [*frame_gaps(trial), *step_gaps(trial)]
     lost += tuple(map(str, gaps))
     if trial.stop is None:

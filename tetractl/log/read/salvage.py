@@ -28,13 +28,13 @@ from mcap.records import Attachment, Channel, Chunk, Header, Schema, Statistics
 
 from tetractl.core.errors import LogError, printable
 from tetractl.log.format.channels import MAGIC, NUMBERS, SUMMARY, WRITER, Entry, Record
-from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_much
+from tetractl.log.read.limits import CHUNK_MAX, file_limit, limit_error, seconds_limit
 from tetractl.log.read.raw_log import RawLog, read_file
 
 PROBLEMS_MAX = 50
 """Maximum number of damaged records of a log that are listed."""
 UNSTATED = 0
-"""Value that MCAP files have in place of a checksum that was left out."""
+"""Value of an MCAP checksum field whose checksum was left out."""
 
 _RECORD = struct.Struct("<BQ")
 """Layout of the beginning of every record: opcode, length of the contents."""
@@ -63,14 +63,14 @@ They are searched for, because the head of a chunk may be damaged.
 """
 _SMALL_ATTACHMENT = re.compile(rb"\x09(?=.{3}\0{5})", re.DOTALL)
 """Bytes with which an attachment of less than 16 MiB begins."""
-_TOPICS = {number: topic for topic, number in NUMBERS.items()}
+_TOPIC_BY_NUMBER = {number: topic for topic, number in NUMBERS.items()}
 _SUMMARY_NUMBERS = {NUMBERS[topic] for topic in SUMMARY}
 
 RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
 
 
 def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each record, and where the contents of the record begin and end.
+    """Yield the opcode of each MCAP record, and the offsets at which its contents begin and end.
 
     The generator stops at a record that is cut off, or at zeros, which a power cut can leave.
 
@@ -80,15 +80,15 @@ def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
     """
     while offset + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, offset)
-        begin = offset + _RECORD.size
-        offset = begin + length
+        begin_offset = offset + _RECORD.size
+        offset = begin_offset + length
         if offset > len(data) or opcode == 0:
             return
-        yield opcode, begin, offset
+        yield opcode, begin_offset, offset
 
 
 def peek(path: Path) -> RawLog | None:
-    """Read only attachments and the chunks with the messages of the run and its result.
+    """Read only the attachments of a log, and the chunks with the run and its result.
 
     This takes a third of the time of `scan`. Two checksums are tested, which together cover the
     whole file: one of the data section and one of the index.
@@ -103,12 +103,12 @@ def peek(path: Path) -> RawLog | None:
 
 
 def scan(path: Path) -> RawLog:
-    """Find and return every intact record of a log file.
+    """Read every intact record of a log file, however damaged the file is.
 
     Damage is listed in `problems` and `lost`.
 
     Raises:
-        LogError: If it is not an MCAP file, or exceeds the `limits`.
+        LogError: If the file is not an MCAP file, or exceeds the `limits`.
     """
     return _Scan(path).read_whole()
 
@@ -127,7 +127,9 @@ class _Scan:
         self._library = ""
         self._is_foreign = False  # another program wrote it, perhaps without index and checksums
         self._has_loose_messages = False
-        self._by_offset: dict[int, list[RawMessage] | Attachment] = {}  # chunks and attachments
+        self._record_by_offset: dict[
+            int, list[RawMessage] | Attachment
+        ] = {}  # chunks and attachments
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
 
@@ -142,21 +144,21 @@ class _Scan:
         has_magic = self._data.startswith(MAGIC)
         if not has_magic:
             self._problems.append("the file does not begin as an MCAP file")
-        for opcode, begin, end in self._read_records():
-            problem = self._verify(opcode, begin, end)
+        for opcode, begin_offset, end_offset in self._read_records():
+            problem = self._verify(opcode, begin_offset, end_offset)
             if problem and len(self._problems) < PROBLEMS_MAX:
-                offset = begin - _RECORD.size
+                offset = begin_offset - _RECORD.size
                 self._problems.append(f"the record at byte {offset} is damaged: {problem}")
-        expected = self._read_index()
+        expected_count = self._read_index()
         if self._problems:
             self._search_file()
-        if not (has_magic or self._by_offset):
+        if not (has_magic or self._record_by_offset):
             raise LogError(f"{self._path}: this is not an MCAP file")
         log = self._collect()
-        if expected is None and self._problems:
+        if expected_count is None and self._problems:
             log.lost.append("the messages of every missing or damaged chunk")
-        elif expected is not None and expected != len(log.entries):
-            log.lost.append(f"{expected - len(log.entries)} of {expected} messages")
+        elif expected_count is not None and expected_count != len(log.entries):
+            log.lost.append(f"{expected_count - len(log.entries)} of {expected_count} messages")
         return log
 
     def read_summary(self) -> RawLog | None:
@@ -165,13 +167,13 @@ class _Scan:
         The result is None for a damaged file, or for a file of another program.
         """
         records_to_keep: set[tuple[int, int, int]] = set()
-        last_chunk: tuple[int, int, int] | None = None  # the last one
+        last_chunk: tuple[int, int, int] | None = None
         for record in self._read_records():
-            opcode, begin, end = record
+            opcode, begin_offset, end_offset = record
             if opcode == Opcode.CHUNK:
                 last_chunk = record
             elif opcode == Opcode.MESSAGE_INDEX and last_chunk is not None:
-                channel = self._data[begin:end][:2]  # its first field
+                channel = self._data[begin_offset:end_offset][:2]  # its first field
                 if int.from_bytes(channel, "little") in _SUMMARY_NUMBERS:
                     records_to_keep.add(last_chunk)
             elif opcode == Opcode.ATTACHMENT:
@@ -188,21 +190,21 @@ class _Scan:
     def _read_records(self) -> Iterator[tuple[int, int, int]]:
         """Yield the opcode of each record of the data section, and where it begins and ends."""
         record_offset = len(MAGIC)
-        for opcode, begin, end in records(self._data, record_offset):
+        for opcode, begin_offset, end_offset in records(self._data, record_offset):
             self._require_time()
             if opcode == Opcode.DATA_END:
-                if end - begin != _CHECKSUM.size:
+                if end_offset - begin_offset != _CHECKSUM.size:
                     self._problems.append("the end of the data section has a wrong length")
                     return
-                (stated,) = _CHECKSUM.unpack_from(self._data, begin)
-                self._is_sealed = stated != UNSTATED
-                if self._is_sealed and stated != zlib.crc32(
-                    self._data_view[: begin - _RECORD.size]
+                (stated_checksum,) = _CHECKSUM.unpack_from(self._data, begin_offset)
+                self._is_sealed = stated_checksum != UNSTATED
+                if self._is_sealed and stated_checksum != zlib.crc32(
+                    self._data_view[: begin_offset - _RECORD.size]
                 ):
                     self._problems.append("the checksum of the data section does not match")
                 return
-            yield opcode, begin, end
-            record_offset = end
+            yield opcode, begin_offset, end_offset
+            record_offset = end_offset
         self._problems.append(f"the file breaks off in the record at byte {record_offset}")
 
     def _read_index(self) -> int | None:
@@ -214,60 +216,64 @@ class _Scan:
         Returns:
             The number. None if the index is damaged or missing.
         """
-        footer = len(self._data) - len(MAGIC) - _FOOTER.size
-        head = self._data[max(0, footer - _RECORD.size) : max(0, footer)]
-        if head != _FOOTER_HEAD or not self._data.endswith(MAGIC):
+        footer_offset = len(self._data) - len(MAGIC) - _FOOTER.size
+        footer_head = self._data[max(0, footer_offset - _RECORD.size) : max(0, footer_offset)]
+        if footer_head != _FOOTER_HEAD or not self._data.endswith(MAGIC):
             self._problems.append("the file breaks off before the index at its end")
             return None
-        index, _, _ = _FOOTER.unpack_from(self._data, footer)
-        if index == 0 and self._is_foreign:
+        index_offset, _, _ = _FOOTER.unpack_from(self._data, footer_offset)
+        if index_offset == 0 and self._is_foreign:
             return None
-        if index > footer or not self._has_checksum(index, footer + _FOOTER.size - _CHECKSUM.size):
+        if index_offset > footer_offset or not self._has_checksum(
+            index_offset, footer_offset + _FOOTER.size - _CHECKSUM.size
+        ):
             self._problems.append("the index at the end of the file is damaged")
             return None
-        expected = None
-        for opcode, begin, end in records(self._data, index):
+        expected_count = None
+        for opcode, begin_offset, end_offset in records(self._data, index_offset):
             self._require_time()
-            contents = self._data[begin:end]
+            contents = self._data[begin_offset:end_offset]
             with suppress(Exception):  # errors of UTF-8 and MCAP
                 if opcode == Opcode.STATISTICS:
-                    expected = Statistics.read(ReadDataStream(BytesIO(contents))).message_count
+                    expected_count = Statistics.read(
+                        ReadDataStream(BytesIO(contents))
+                    ).message_count
                 elif self._problems:
                     self._keep_description(opcode, contents)
-        return expected
+        return expected_count
 
     def _search_file(self) -> None:
         """Search all bytes of the file for chunks and attachments that were not found yet.
 
         Most bytes that look like the beginning of a chunk or an attachment are something else.
         """
-        kinds = (
+        searches = (
             (Opcode.CHUNK, _ZSTD, -_CHUNK_TIMES_AND_SIZE.size),
             (Opcode.ATTACHMENT, _SMALL_ATTACHMENT, _RECORD.size),
         )
-        for opcode, mark, from_mark_to_contents in kinds:
-            for match in mark.finditer(self._data):
+        for opcode, pattern, contents_shift in searches:
+            for match in pattern.finditer(self._data):
                 self._require_time()
-                begin = match.start() + from_mark_to_contents
-                if begin > 0 and begin not in self._by_offset:
-                    self._verify(opcode, begin)
+                begin_offset = match.start() + contents_shift
+                if begin_offset > 0 and begin_offset not in self._record_by_offset:
+                    self._verify(opcode, begin_offset)
 
-    def _verify(self, opcode: int, begin: int, end: int | None = None) -> str:
+    def _verify(self, opcode: int, begin_offset: int, end_offset: int | None = None) -> str:
         """Decode and keep a record.
 
         Args:
             opcode: Opcode of the record.
-            begin: Where the record's contents begin in the file.
-            end: Where they end. By default, the end of a chunk or attachment is computed from the
-                lengths of its parts.
+            begin_offset: Offset in the file at which the record's contents begin [bytes].
+            end_offset: Offset at which the contents end [bytes]. By default, the end of a chunk or
+                an attachment is computed from the lengths of its parts.
 
         Returns:
-            Why the record cannot be decoded, or "" if it was kept.
+            The reason why the record cannot be decoded, or "" if the record was kept.
         """
         try:
-            if end is None:
-                end = self._find_end(opcode, begin)
-            self._keep(opcode, begin, self._data[begin:end])
+            if end_offset is None:
+                end_offset = self._find_end(opcode, begin_offset)
+            self._keep_record(opcode, begin_offset, self._data[begin_offset:end_offset])
         except LogError:
             raise
         except Exception as error:  # errors of zstd, UTF-8, struct and MCAP
@@ -275,32 +281,32 @@ class _Scan:
             return message.splitlines()[0] if message else type(error).__name__
         return ""
 
-    def _find_end(self, opcode: int, begin: int) -> int:
-        """Return where a compressed chunk or an attachment ends in the file."""
+    def _find_end(self, opcode: int, begin_offset: int) -> int:
+        """Compute the offset at which a compressed chunk or an attachment ends in the file."""
         if opcode == Opcode.CHUNK:
-            *_, packed = _CHUNK.unpack_from(self._data, begin)
-            return begin + _CHUNK.size + packed
-        end = begin + _TIMES.size
+            *_, packed_size = _CHUNK.unpack_from(self._data, begin_offset)
+            return begin_offset + _CHUNK.size + packed_size
+        end_offset = begin_offset + _TIMES.size
         for length_field in (
             _LENGTH,
             _LENGTH,
             _LONG_LENGTH,
         ):  # of the name, the media type and the data
-            (length,) = length_field.unpack_from(self._data, end)
-            end += length_field.size + length
-        return end + _CHECKSUM.size
+            (length,) = length_field.unpack_from(self._data, end_offset)
+            end_offset += length_field.size + length
+        return end_offset + _CHECKSUM.size
 
-    def _keep(self, opcode: int, begin: int, contents: bytes) -> None:
+    def _keep_record(self, opcode: int, begin_offset: int, contents: bytes) -> None:
         stream = ReadDataStream(BytesIO(contents))
         if opcode == Opcode.CHUNK:
             chunk_data = unpack(Chunk.read(stream), self._is_foreign)
-            self._by_offset[begin] = self._unpack_messages(chunk_data)
+            self._record_by_offset[begin_offset] = self._unpack_messages(chunk_data)
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
-            if not self._has_checksum(begin, begin + stream.count - _CHECKSUM.size):
+            if not self._has_checksum(begin_offset, begin_offset + stream.count - _CHECKSUM.size):
                 raise ValueError("the attachment's checksum does not match")
             self._count_kept_bytes(stream.count)
-            self._by_offset[begin] = attachment
+            self._record_by_offset[begin_offset] = attachment
         elif opcode == Opcode.HEADER:
             self._library = printable(Header.read(stream).library, 200)
             self._is_foreign = not self._library.startswith(WRITER)
@@ -314,16 +320,16 @@ class _Scan:
         """
         messages: list[RawMessage] = []
         record_count = 0
-        end = 0
-        for opcode, begin, end in records(data):
+        end_offset = 0
+        for opcode, begin_offset, end_offset in records(data):
             record_count += 1
             if opcode == Opcode.MESSAGE:
-                channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
-                message = data[begin + _MESSAGE.size : end]
+                channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin_offset)
+                message = data[begin_offset + _MESSAGE.size : end_offset]
                 messages.append((channel, log_ns, publish_ns, message))
             else:
-                self._keep_description(opcode, data[begin:end])
-        if end < len(data):
+                self._keep_description(opcode, data[begin_offset:end_offset])
+        if end_offset < len(data):
             raise ValueError("the chunk contains an invalid record")
         self._count_kept_bytes(len(data) + 256 * record_count)  # even an empty message takes memory
         return messages
@@ -344,11 +350,11 @@ class _Scan:
         follows from the channel's number in the format, unless a remaining record contradicts it.
         """
         topics = {number: channel.topic for number, channel in self._channels.items()}
-        if all(_TOPICS.get(number, topic) == topic for number, topic in topics.items()):
-            topics = _TOPICS | topics
+        if all(_TOPIC_BY_NUMBER.get(number, topic) == topic for number, topic in topics.items()):
+            topics = _TOPIC_BY_NUMBER | topics
         in_order: list[Record] = []
         chunks = 0
-        for _, record in sorted(self._by_offset.items(), key=lambda item: item[0]):
+        for _, record in sorted(self._record_by_offset.items(), key=lambda item: item[0]):
             if isinstance(record, Attachment):
                 in_order.append(record)
                 continue
@@ -372,36 +378,38 @@ class _Scan:
             has_loose_messages=self._has_loose_messages,
         )
 
-    def _has_checksum(self, begin: int, end: int) -> bool:
-        """Check whether the checksum at `end` matches the bytes from `begin` to `end`.
+    def _has_checksum(self, begin_offset: int, end_offset: int) -> bool:
+        """Check whether the checksum at `end_offset` matches the bytes from `begin_offset` on.
 
         A file of another program may leave out its checksums.
         """
-        (stated,) = _CHECKSUM.unpack_from(self._data, end)
-        is_left_out = self._is_foreign and stated == UNSTATED
-        return is_left_out or stated == zlib.crc32(self._data_view[begin:end])
+        (stated_checksum,) = _CHECKSUM.unpack_from(self._data, end_offset)
+        is_left_out = self._is_foreign and stated_checksum == UNSTATED
+        return is_left_out or stated_checksum == zlib.crc32(
+            self._data_view[begin_offset:end_offset]
+        )
 
     def _require_time(self) -> None:
         if time.thread_time() > self._deadline_s:
-            raise too_much(self._path, "very many records, or very many damaged ones")
+            raise limit_error(self._path, "very many records, or very many damaged ones")
 
     def _count_kept_bytes(self, size: int) -> None:
         self._kept_bytes += size
         if self._kept_bytes > file_limit():
-            raise too_much(self._path, "very many bytes or messages in its chunks")
+            raise limit_error(self._path, "very many bytes or messages in its chunks")
 
 
-def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
+def unpack(chunk: Chunk, may_lack_checksum: bool = False) -> bytes:
     """Decompress a chunk of a log, and check its checksum.
 
     Args:
         chunk: The compressed chunk.
-        unsealed: Whether to accept a chunk that has no checksum.
+        may_lack_checksum: Whether to accept a chunk that has no checksum.
 
     Raises:
         ValueError: If the chunk is too large, its compression is unknown, its size or checksum does
-            not match, or it has no checksum and `unsealed` is False. If the compressed data are
-            damaged, zstd or lz4 raise their own errors.
+            not match, or it has no checksum and `may_lack_checksum` is False. If the compressed
+            data are damaged, zstd or lz4 raise their own errors.
     """
     data = chunk.data
     size = chunk.uncompressed_size
@@ -415,8 +423,10 @@ def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
         data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     elif chunk.compression:
         raise ValueError(f"the chunk's compression {chunk.compression[:20]!r} is not known")
-    stated = chunk.uncompressed_crc
-    sealed = zlib.crc32(data) == stated or (unsealed and stated == UNSTATED)
-    if len(data) != chunk.uncompressed_size or not sealed:
+    stated_checksum = chunk.uncompressed_crc
+    is_intact = zlib.crc32(data) == stated_checksum or (
+        may_lack_checksum and stated_checksum == UNSTATED
+    )
+    if len(data) != chunk.uncompressed_size or not is_intact:
         raise ValueError("the chunk's checksum does not match")
     return data

@@ -57,13 +57,17 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """The problems of a log that is not intact, and what it has lost, one sentence each.
+    """The damage of a log that is not intact.
 
     Such a log is
 
-        torn        records of the file cannot be read
-        recovered   it was copied from a torn log, and has lost records of it
-        unfinished  it has no result, or one that tetractl does not write
+        torn        some records of the file cannot be read
+        recovered   the log was copied from a torn log, and lacks the lost records of that log
+        unfinished  the log has no result, or a result that tetractl does not write
+
+    Attributes:
+        problems: The problems of the log, one sentence each.
+        lost: Descriptions of lost records, one sentence each.
     """
 
     problems: tuple[str, ...]
@@ -90,9 +94,9 @@ class TrialLog(TrialRecords, NotebookDisplay):
     """A whole trial, read from its log.
 
     Attributes:
-        log: Path of its file.
+        log: Path of the log's file.
         experiment: The experiment, from the spec in the log.
-        stop: The last stop. None if there is none.
+        stop: The last stop command. None if the log contains none.
         damage: What is missing in the log. None for an intact log.
         facts: Machine, time and versions of the run.
         digest: The content digest stored in the log. None if there is none.
@@ -100,7 +104,7 @@ class TrialLog(TrialRecords, NotebookDisplay):
             and a JPEG file.
     """
 
-    log: str  # its file
+    log: str
     experiment: Experiment = field(repr=False)
     stop: Command | None = field(repr=False)
     damage: Damage | None
@@ -112,17 +116,17 @@ class TrialLog(TrialRecords, NotebookDisplay):
     def began_ns(self) -> int:
         """The time of the first direction on the trial's clock [ns].
 
-        It is time 0 on every time axis that users see. In the lab the trial's clock starts
+        This time is 0 on every time axis that users see. In the lab the trial's clock starts
         earlier, while the robots are placed. If the first steps are lost, the time is computed
         from the control period; without directions it is 0.
         """
-        directed = (command.sent_ns for command in self.commands if not command.stops)
-        sent = [*islice(directed, 1)]  # commands are in the order of sending
+        direction_times_ns = (command.sent_ns for command in self.commands if not command.stops)
+        begin_times_ns = [*islice(direction_times_ns, 1)]  # commands are in the order of sending
         if self.steps:
-            first = self.steps[0]
-            before = round(first.k * self.start.setup.period_s * SECOND)
-            sent.append(first.command.sent_ns - before)
-        return max(min(sent, default=0), 0)
+            first_step = self.steps[0]
+            elapsed_ns = round(first_step.k * self.start.setup.period_s * SECOND)
+            begin_times_ns.append(first_step.command.sent_ns - elapsed_ns)
+        return max(min(begin_times_ns, default=0), 0)
 
     def elapsed_s(self, time_ns: int) -> float:
         """Convert a time on the trial's clock [ns] to the time since the first direction [s]."""
@@ -136,8 +140,8 @@ class TrialLog(TrialRecords, NotebookDisplay):
     @property
     def steps_s(self) -> Floats:
         """The times of the control steps' commands since the first direction [s], shape (K,)."""
-        sent = np.array([step.command.sent_ns for step in self.steps], dtype=np.int64)
-        return (sent - self.began_ns) / SECOND
+        sent_ns = np.array([step.command.sent_ns for step in self.steps], dtype=np.int64)
+        return (sent_ns - self.began_ns) / SECOND
 
     @property
     def last_estimate(self) -> Estimate | None:
@@ -182,17 +186,17 @@ class TrialLog(TrialRecords, NotebookDisplay):
         )
 
 
-def _next_step(text: str) -> str:
-    """Return the reason for a message and the operator's next step.
+def _next_step(message: str) -> str:
+    """Return a hint for the operator: the reason for a message, and the next step.
 
-    Logs do not contain them.
+    Logs do not contain these hints. The result is empty if there is no hint.
     """
-    if text.endswith(" is lost"):
+    if message.endswith(" is lost"):
         return (
             ": no poses of this robot arrived; is it hidden, out of view, off its mat or "
             "switched off?"
         )
-    if text.startswith("the model does not fit"):
+    if message.startswith("the model does not fit"):
         return (
             ": `tetractl identify` measures a, speed and dead time (longer if frames are "
             "later than `latency`), and with --wheels the lag of the wheels"
@@ -205,12 +209,12 @@ class ResultSummary(NotebookDisplay):
     """The result of a trial, read from its log without the frames and steps.
 
     Attributes:
-        log: Path of its file.
+        log: Path of the log's file.
         experiment: The experiment, from the spec in the log.
         seed: Root seed of the batch.
         trial: Index of the trial in the batch, from 0.
         origin: Where the trial took place.
-        result: The result. If it is lost, it is computed from the last poses of the log, with the
+        result: The result. A lost result is computed from the last poses of the log, with the
             outcome `aborted`.
         recovered: Whether the log is damaged or ends early.
         digest: The content digest stored in the log. None if there is none.
@@ -218,16 +222,16 @@ class ResultSummary(NotebookDisplay):
         code: Hash of the code that ran the trial (`provenance.trial_code`). Empty if unknown.
     """
 
-    log: str  # its file
+    log: str
     experiment: Experiment = field(repr=False)
-    seed: int  # root seed of the batch
-    trial: int  # index in the batch, from 0
+    seed: int
+    trial: int
     origin: Origin
     result: Result
     recovered: bool
-    digest: str | None  # content digest that the log states
-    warnings: int = 0  # number of warnings and errors among the operator messages
-    code: str = ""  # hash of the code that ran the trial, `provenance.trial_code`; "" if not stated
+    digest: str | None
+    warnings: int = 0
+    code: str = ""
 
     @property
     def simulated(self) -> bool:
@@ -245,29 +249,37 @@ class Gap:
     """A gap in the records of a log: control steps or camera frames are missing.
 
     Attributes:
-        what: What is missing, such as camera frames.
-        first: Number of the first missing record.
-        last: Number of the last missing record.
+        record_kind: Kind of the missing records, such as "camera frame".
+        first_number: Number of the first missing record.
+        last_number: Number of the last missing record.
         since_s: Beginning of the gap, since the first direction [s].
         until_s: End of the gap [s].
     """
 
-    what: str
-    first: int
-    last: int
+    record_kind: str
+    first_number: int
+    last_number: int
     since_s: float
     until_s: float
 
     def __str__(self) -> str:
-        numbers = f"{self.first}" if self.first == self.last else f"{self.first} to {self.last}"
-        plural = "" if self.first == self.last else "s"
-        when = f"between {self.since_s:.3f} and {self.until_s:.3f} s"
-        return f"{self.what}{plural} {numbers}, {when}"
+        numbers = (
+            f"{self.first_number}"
+            if self.first_number == self.last_number
+            else f"{self.first_number} to {self.last_number}"
+        )
+        plural = "" if self.first_number == self.last_number else "s"
+        interval = f"between {self.since_s:.3f} and {self.until_s:.3f} s"
+        return f"{self.record_kind}{plural} {numbers}, {interval}"
 
 
-def _gaps(what: str, numbers: Sequence[int], times: Sequence[float]) -> list[Gap]:
-    pairs = zip(pairwise(numbers), pairwise(times), strict=True)
-    return [Gap(what, a + 1, b - 1, *span) for (a, b), span in pairs if b - a > 1]
+def _gaps(record_kind: str, numbers: Sequence[int], times_s: Sequence[float]) -> list[Gap]:
+    neighbours = zip(pairwise(numbers), pairwise(times_s), strict=True)
+    return [
+        Gap(record_kind, previous + 1, following - 1, *span_s)
+        for (previous, following), span_s in neighbours
+        if following - previous > 1
+    ]
 
 
 def frame_gaps(log: TrialLog) -> list[Gap]:
@@ -277,9 +289,9 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 
 def step_gaps(log: TrialLog) -> list[Gap]:
     """Return the gaps in the numbers of a log's control steps, also at its start and end."""
-    ks = [-1, *(step.k for step in log.steps)]
-    sent = [0.0, *log.steps_s.tolist()]
-    if log.result and log.result.steps > ks[-1] + 1:
-        ks.append(log.result.steps)
-        sent.append(log.result.duration_s)
-    return _gaps("control step", ks, sent)
+    step_numbers = [-1, *(step.k for step in log.steps)]
+    times_s = [0.0, *log.steps_s.tolist()]
+    if log.result and log.result.steps > step_numbers[-1] + 1:
+        step_numbers.append(log.result.steps)
+        times_s.append(log.result.duration_s)
+    return _gaps("control step", step_numbers, times_s)

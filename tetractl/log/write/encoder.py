@@ -79,15 +79,17 @@ class RecordSink(Protocol):
 class Encoder:
     """An observer that adds the records of one trial to a sink.
 
-    A message has two times [Unix ns]: log_time, when the host received or sent it, and
-    publish_time, when its content was sampled. `warnings` counts the operator messages that are
-    warnings or errors. The message about the end of the trial does not count, because it repeats
-    the outcome.
+    A message has two times [Unix ns]. At log_time, the host received or sent its content. At
+    publish_time, the content was sampled.
 
     Args:
         sink: Receives the records.
         real_time: Whether the trial runs in real time.
         hosted: Whether to add the host records, which differ from run to run.
+
+    Attributes:
+        warnings: Number of operator messages that are warnings or errors. The message about the end
+            of the trial does not count, because it repeats the outcome.
     """
 
     def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:
@@ -95,7 +97,7 @@ class Encoder:
         self._real_time = real_time
         self._hosted = hosted
         self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
-        self._waiting: list[Sample] = []  # frames of a simulation's open chunk
+        self._collected_samples: list[Sample] = []  # frames of a simulation's open chunk
         self._flushed_ns = 0  # trial time at which the open chunk began
         self._next_plan_ns = 0  # trial time from which the next plan is shown
         self.warnings = 0
@@ -118,8 +120,8 @@ class Encoder:
             self._add(channels.HOST, Host(facts=encode_facts(facts)), 0)
         self._attach(channels.SPEC, "application/yaml", start.spec_text)
         self._attach(channels.RESOLVED_SPEC, "application/yaml", start.resolved)
-        for name, text in start.attached:
-            self._attach(name, "application/yaml", text)
+        for name, contents in start.attached:
+            self._attach(name, "application/yaml", contents)
         self._attach(channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(setup))
         if self._hosted:  # last, for it may be long, and a log cut off here can still be read
             self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
@@ -133,13 +135,13 @@ class Encoder:
         for sample in samples:
             for note in self._tracking.add(sample.observation):
                 self.on_note(note)
-        self._waiting += samples
+        self._collected_samples += samples
         if self._real_time:
             self.flush_frames()
-        begin_ns = self._start.start_unix_ns
+        start_unix_ns = self._start.start_unix_ns
         for sample in samples:
-            received_ns = begin_ns + sample.observation.received_ns
-            sampled_ns = begin_ns + sample.observation.sampled_ns
+            received_ns = start_unix_ns + sample.observation.received_ns
+            sampled_ns = start_unix_ns + sample.observation.sampled_ns
             for topic, data in sample.messages:
                 self._sink.add(Entry(topic, received_ns, sampled_ns, data))
         self._end_chunk(samples[-1].observation.received_ns)
@@ -154,26 +156,31 @@ class Encoder:
         A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
         transforms with the same times, so that a change of one copy can be detected.
         """
-        if not self._waiting:
+        if not self._collected_samples:
             return
-        waiting = Frames.from_samples(self._waiting, len(self._start.setup.names))
-        self._waiting = []
-        count = self._frames_per_message
-        begins = range(0, len(waiting.numbers), count)
-        messages = [waiting.part(slice(begin, begin + count)) for begin in begins]
-        to_show: list[Frames] = []
+        frames = Frames.from_samples(self._collected_samples, len(self._start.setup.names))
+        self._collected_samples = []
+        frames_per_message = self._frames_per_message
+        first_rows = range(0, len(frames.numbers), frames_per_message)
+        messages = [
+            frames.part(slice(first_row, first_row + frames_per_message))
+            for first_row in first_rows
+        ]
+        shown_frames: list[Frames] = []
         for message in messages:
-            first = (len(message.numbers) - 1) % self._frames_per_shown  # so the last one is shown
-            to_show.append(message.part(slice(first, None, self._frames_per_shown)))
-        # of all messages at once, which takes little longer than of one frame
-        transforms = self._scene.transforms(to_show, self._start.start_unix_ns)
-        for message, thinned, transform in zip(messages, to_show, transforms, strict=True):
+            first_shown_row = (
+                len(message.numbers) - 1
+            ) % self._frames_per_shown  # so the last one is shown
+            shown_frames.append(message.part(slice(first_shown_row, None, self._frames_per_shown)))
+        # for all messages at once, which takes hardly longer than for one frame
+        transforms = self._scene.transforms(shown_frames, self._start.start_unix_ns)
+        for message, shown, transform in zip(messages, shown_frames, transforms, strict=True):
             last_received_ns = int(message.received_ns[-1])
             last_sampled_ns = int(message.sampled_ns[-1])
             encoded = codec.encode_frames(message)
             self._add(channels.FRAMES, encoded, last_received_ns, last_sampled_ns)
-            first_received_ns = int(thinned.received_ns[0])
-            first_sampled_ns = int(thinned.sampled_ns[0])
+            first_received_ns = int(shown.received_ns[0])
+            first_sampled_ns = int(shown.sampled_ns[0])
             self._add(channels.TRANSFORMS, transform, first_received_ns, first_sampled_ns)
 
     def on_command(self, command: Command) -> None:
@@ -217,16 +224,16 @@ class Encoder:
         self.on_note(end_note(stop, result))
         self._sink.flush()
         if self._hosted:
-            end = HostEnd(
+            host_end = HostEnd(
                 solve_ns=result.solve_ns,
                 deadline_misses=result.deadline_misses,
-                ended=provenance.now(),
+                ended=provenance.utc_now(),
                 drove=result.drove,
             )
-            self._add(channels.HOST_END, end, t_ns)
+            self._add(channels.HOST_END, host_end, t_ns)
         self._add(channels.RUN, encode_run(self._start), t_ns)
-        stated = encode_result(result, self._start.setup.unit, warnings)
-        self._add(channels.RESULT, stated, t_ns)
+        result_message = encode_result(result, self._start.setup.unit, warnings)
+        self._add(channels.RESULT, result_message, t_ns)
 
     def _end_chunk(self, trial_ns: int) -> None:
         """End the chunk if it has its full length at `trial_ns`, the time of the trial."""
@@ -235,15 +242,15 @@ class Encoder:
             self._sink.flush()
             self._flushed_ns = trial_ns
 
-    def _attach(self, name: str, media_type: str, text: str) -> None:
-        begin_ns = self._start.start_unix_ns
-        self._sink.add(Attachment(0, begin_ns, name, media_type, text.encode()))
+    def _attach(self, name: str, media_type: str, contents: str) -> None:
+        start_unix_ns = self._start.start_unix_ns
+        self._sink.add(Attachment(0, start_unix_ns, name, media_type, contents.encode()))
 
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> None:
         """Add a message to the log, with times on the trial's clock [ns]."""
-        begin_ns = self._start.start_unix_ns
+        start_unix_ns = self._start.start_unix_ns
         sampled_ns = log_ns if publish_ns is None else publish_ns
         data = message.SerializeToString()
-        self._sink.add(Entry(topic, begin_ns + log_ns, begin_ns + sampled_ns, data))
+        self._sink.add(Entry(topic, start_unix_ns + log_ns, start_unix_ns + sampled_ns, data))

@@ -61,43 +61,50 @@ CHUNK_BYTES = 1 << 20
 FOOTER_FIELDS = struct.Struct("<BQQQ")
 """Layout of the part of the footer that its checksum covers: opcode, length, two offsets."""
 FOOTER_BYTES = 20
+"""Length of the contents of the footer record [bytes]."""
 OtherChannels = Mapping[str, tuple[Channel, Schema | None]]
 """Channels of another log, each with its schema, by topic. The schema may be None."""
-NO_OTHERS: OtherChannels = {}
+NO_OTHER_CHANNELS: OtherChannels = {}
 
 
 class FileWriter:
     """A writer for the MCAP file of a log, which also hashes the records that it writes.
 
-    The file begins with its metadata. Each topic of the format has a fixed number, whichever other
-    topics are in the file; `mcap.writer.Writer` does not allow that. `others` contains the channels
-    of a log that is copied, by their topics. Channels of cameras are copied unchanged.
+    The file begins with its metadata. Each topic of the format has a fixed channel number, which
+    does not depend on the other topics in the file. `mcap.writer.Writer` does not allow that.
+
+    Args:
+        stream: The open file.
+        other_channels: Channels of a log that is copied, by topic. Channels of cameras are copied
+            unchanged.
     """
 
-    def __init__(self, stream: BinaryIO, others: OtherChannels = NO_OTHERS) -> None:
+    def __init__(self, stream: BinaryIO, other_channels: OtherChannels = NO_OTHER_CHANNELS) -> None:
         self.digests = LogDigests()
         self._stream = stream
-        self._size = 0  # bytes written so far
-        self._crc = 0  # of these
-        self._others = others
+        self._written_bytes = 0  # bytes written so far
+        self._crc = 0  # checksum of the bytes written so far
+        self._other_channels = other_channels
         # what is recorded so far: channels by topic, schemas by name and data
         self._channels = dict[str, Channel]()
         self._schemas = dict[tuple[str, bytes], Schema]()
         # the open chunk, and the messages in it by the number of their channel
         self._chunk = RecordBuilder()
-        self._messages = dict[int, MessageIndex]()
+        self._message_indexes = dict[int, MessageIndex]()
         # what the summary states
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._counts = Counter[int]()  # messages, by the number of their channel
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
+        self._message_counts = Counter[int]()  # messages, by the number of their channel
 
         self._write(MAGIC)
         self._write_record(Header(profile="", library=f"{WRITER} {__version__}"))
         # for other readers: some report a file without metadata as damaged
         name, contents = METADATA
-        begin = self._size
+        metadata_offset = self._written_bytes
         self._write_record(Metadata(name=name, metadata=contents))
-        self._metadata = MetadataIndex(offset=begin, length=self._size - begin, name=name)
+        self._metadata_index = MetadataIndex(
+            offset=metadata_offset, length=self._written_bytes - metadata_offset, name=name
+        )
 
     def add(self, record: Record) -> None:
         """Add a message or an attachment.
@@ -114,7 +121,7 @@ class FileWriter:
 
     def flush(self) -> None:
         """End the chunk of the messages so far, if there are any, and flush the stream."""
-        if self._messages:
+        if self._message_indexes:
             self._write_chunk()
         self._stream.flush()
 
@@ -122,15 +129,17 @@ class FileWriter:
         """Write the last chunk and the summary. The stream stays open."""
         self.flush()
         self._write_record(DataEnd(data_section_crc=self._crc))
-        begin = self._size
+        summary_offset = self._written_bytes
         summary = RecordBuilder()
         for record in self._summary():
             record.write(summary)
-        data = summary.end()
-        self._write(data)
-        fields = FOOTER_FIELDS.pack(Opcode.FOOTER, FOOTER_BYTES, begin, 0)
-        crc = zlib.crc32(fields, zlib.crc32(data))
-        self._write_record(Footer(summary_start=begin, summary_offset_start=0, summary_crc=crc))
+        summary_data = summary.end()
+        self._write(summary_data)
+        fields = FOOTER_FIELDS.pack(Opcode.FOOTER, FOOTER_BYTES, summary_offset, 0)
+        crc = zlib.crc32(fields, zlib.crc32(summary_data))
+        self._write_record(
+            Footer(summary_start=summary_offset, summary_offset_start=0, summary_crc=crc)
+        )
         self._write(MAGIC)
 
     # ---- a record ----
@@ -138,7 +147,7 @@ class FileWriter:
     def _write(self, data: bytes) -> None:
         self._crc = zlib.crc32(data, self._crc)
         self._stream.write(data)
-        self._size += len(data)
+        self._written_bytes += len(data)
 
     def _write_record(self, record: McapRecord) -> None:
         builder = RecordBuilder()
@@ -146,13 +155,13 @@ class FileWriter:
         self._write(builder.end())
 
     def _write_attachment(self, attachment: Attachment) -> None:
-        begin = self._size
+        begin_offset = self._written_bytes
         written = replace(attachment, create_time=0)
         self._write_record(written)
-        self._attachments.append(
+        self._attachment_indexes.append(
             AttachmentIndex(
-                offset=begin,
-                length=self._size - begin,
+                offset=begin_offset,
+                length=self._written_bytes - begin_offset,
                 log_time=written.log_time,
                 create_time=written.create_time,
                 data_size=len(written.data),
@@ -166,11 +175,13 @@ class FileWriter:
     def _add_message(self, entry: Entry) -> None:
         """Add a message to the open chunk, and end the chunk if it is large."""
         channel = self._channels.get(entry.topic) or self._record_channel(entry.topic)
-        index = self._messages.get(channel.id)
+        index = self._message_indexes.get(channel.id)
         if index is None:
-            index = self._messages[channel.id] = MessageIndex(channel_id=channel.id, records=[])
+            index = self._message_indexes[channel.id] = MessageIndex(
+                channel_id=channel.id, records=[]
+            )
         index.records.append((entry.log_ns, self._chunk.count))
-        self._counts[channel.id] += 1
+        self._message_counts[channel.id] += 1
         message = Message(
             channel_id=channel.id,
             log_time=entry.log_ns,
@@ -183,7 +194,7 @@ class FileWriter:
             self._write_chunk()
 
     def _record_channel(self, topic: str) -> Channel:
-        """Record the channel of a topic and its schema in the open chunk, and return it."""
+        """Record a topic's channel and its schema in the open chunk, and return the channel."""
         if topic in NUMBERS:
             channel = Channel(
                 id=NUMBERS[topic],
@@ -193,10 +204,10 @@ class FileWriter:
                 schema_id=self._record_schema(protobuf_schema(CHANNELS[topic])),
             )
         else:
-            of_other_log, schema = self._others[topic]
+            other_channel, schema = self._other_channels[topic]
             numbers = [channel.id for channel in self._channels.values()]
             channel = replace(
-                of_other_log,
+                other_channel,
                 id=max(*NUMBERS.values(), *numbers) + 1,
                 schema_id=UNNUMBERED if schema is None else self._record_schema(schema),
             )
@@ -215,34 +226,34 @@ class FileWriter:
     def _write_chunk(self) -> None:
         """Write the open chunk and the indexes of its messages, and begin the next chunk."""
         data = self._chunk.end()
-        times = [ns for index in self._messages.values() for ns, _ in index.records]
+        times_ns = [ns for index in self._message_indexes.values() for ns, _ in index.records]
         chunk = Chunk(
             compression="zstd",
             data=zstandard.compress(data),
-            message_start_time=min(times),
-            message_end_time=max(times),
+            message_start_time=min(times_ns),
+            message_end_time=max(times_ns),
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        begin = self._size
+        begin_offset = self._written_bytes
         self._write_record(chunk)
-        end = self._size
-        offsets: dict[int, int] = {}
-        for number, index in self._messages.items():
-            offsets[number] = self._size
+        end_offset = self._written_bytes
+        index_offsets: dict[int, int] = {}
+        for number, index in self._message_indexes.items():
+            index_offsets[number] = self._written_bytes
             self._write_record(index)
-        self._messages.clear()
-        self._chunks.append(
+        self._message_indexes.clear()
+        self._chunk_indexes.append(
             ChunkIndex(
-                chunk_start_offset=begin,
-                chunk_length=end - begin,
+                chunk_start_offset=begin_offset,
+                chunk_length=end_offset - begin_offset,
                 compression=chunk.compression,
                 compressed_size=len(chunk.data),
                 uncompressed_size=chunk.uncompressed_size,
                 message_start_time=chunk.message_start_time,
                 message_end_time=chunk.message_end_time,
-                message_index_offsets=offsets,
-                message_index_length=self._size - end,
+                message_index_offsets=index_offsets,
+                message_index_length=self._written_bytes - end_offset,
             )
         )
 
@@ -251,43 +262,53 @@ class FileWriter:
     def _summary(self) -> Iterator[McapRecord]:
         """Yield the records that are repeated at the end of the file, and an index of its parts."""
         statistics = Statistics(
-            attachment_count=len(self._attachments),
+            attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
-            message_count=self._counts.total(),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            channel_message_counts=self._message_counts,
+            chunk_count=len(self._chunk_indexes),
+            message_count=self._message_counts.total(),
+            message_start_time=min(
+                (chunk.message_start_time for chunk in self._chunk_indexes), default=0
+            ),
+            message_end_time=max(
+                (chunk.message_end_time for chunk in self._chunk_indexes), default=0
+            ),
             metadata_count=1,
             schema_count=len(self._schemas),
         )
         yield from self._schemas.values()
         yield from self._channels.values()
         yield statistics
-        yield from self._chunks
-        yield from self._attachments
-        yield self._metadata
+        yield from self._chunk_indexes
+        yield from self._attachment_indexes
+        yield self._metadata_index
 
 
-def _with_imports(file: Any) -> list[Any]:
-    """List a `FileDescriptor` after all files that it imports, each once."""
+def _list_with_imports(file: Any) -> list[Any]:
+    """List all files that a `FileDescriptor` imports, each once, followed by the file itself."""
     listed: dict[str, Any] = {}
     for imported in file.dependencies:
-        listed |= {one.name: one for one in _with_imports(imported)}
+        listed |= {
+            imported_file.name: imported_file for imported_file in _list_with_imports(imported)
+        }
     return [*listed.values(), file]
 
 
 @cache
 def protobuf_schema(message: type[ProtobufMessage]) -> Schema:
-    """Return the schema of a protobuf message. It has no number yet."""
+    """Create the MCAP schema of a protobuf message class. The schema has no number yet."""
     descriptor = message.DESCRIPTOR
     files = FileDescriptorSet()
-    for definition in _with_imports(descriptor.file):
+    for definition in _list_with_imports(descriptor.file):
         definition.CopyToProto(files.file.add())
-    used = _used(descriptor)
+    used_names = _nested_message_names(descriptor)
     for file in files.file:
-        if file.name == descriptor.file.name:  # tetractl's own has the messages of all channels
-            used_types = [kind for kind in file.message_type if kind.name in used]
+        if file.name == descriptor.file.name:  # tetractl's own file has the types of all channels
+            used_types = [
+                message_type
+                for message_type in file.message_type
+                if message_type.name in used_names
+            ]
             del file.message_type[:]
             file.message_type.extend(used_types)
     return Schema(
@@ -298,10 +319,10 @@ def protobuf_schema(message: type[ProtobufMessage]) -> Schema:
     )
 
 
-def _used(descriptor: Any) -> set[str]:
+def _nested_message_names(descriptor: Any) -> set[str]:
     """Return the names of a message and of all messages inside it."""
     names = {descriptor.name}
     for field in descriptor.fields:
         if field.message_type:
-            names |= _used(field.message_type)
+            names |= _nested_message_names(field.message_type)
     return names

@@ -15,7 +15,7 @@ from mcap.records import Attachment
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import DIGESTS, Entry, Record
-from tetractl.log.write.mcap_records import NO_OTHERS, FileWriter, OtherChannels
+from tetractl.log.write.mcap_records import NO_OTHER_CHANNELS, FileWriter, OtherChannels
 from tetractl.tools.files import lock_file
 
 CHUNK_S = 0.7
@@ -25,9 +25,10 @@ With camera frames collected over a control period of 0.2 s, a killed process lo
 of its trial.
 """
 SYNC_S = 1.0
-"""Maximum time for which a power cut can lose written bytes [s of wall time]."""
+"""Maximum age of written bytes that a power cut can still lose [s of wall time]."""
 
-TRIAL_PART = ".part"
+TRIAL_PART_SUFFIX = ".part"
+"""Suffix of the log of a trial that has not ended yet."""
 
 P = ParamSpec("P")
 Method = Callable[Concatenate["Sink", P], None]
@@ -60,31 +61,36 @@ class Sink:
     second error.
 
     Args:
-        path: The file when it is complete.
-        part: The suffix while it is not. If it is not ".part", the file is a copy of a log: an
-            unfinished earlier copy is replaced, unless a process is still writing it.
-        others: Channels of the log that is copied.
+        path: Path of the complete log.
+        part_suffix: Suffix of the file while the log is incomplete. If the suffix is not ".part",
+            the file is a copy of a log. Then an unfinished earlier copy is replaced, unless a
+            process is still writing it.
+        other_channels: Channels of the log that is copied.
     """
 
     def __init__(
-        self, path: Path, part: str = TRIAL_PART, others: OtherChannels = NO_OTHERS
+        self,
+        path: Path,
+        part_suffix: str = TRIAL_PART_SUFFIX,
+        other_channels: OtherChannels = NO_OTHER_CHANNELS,
     ) -> None:
         self._path = path
-        self._part = path.with_name(path.name + part)
+        self._part_path = path.with_name(path.name + part_suffix)
         self._file: BinaryIO | None = None
-        self._chunk_since: float | None = None  # when the open chunk's oldest message was added
-        self._dirty_since: float | None = None  # when the oldest write that is not synced was made
-        is_copy = part != TRIAL_PART
-        must_be_new = (path,) if is_copy else (path, self._part)
-        for name in must_be_new:  # never overwrite a log
-            if os.path.lexists(name):
+        self._chunk_since_s: float | None = None  # add time of the open chunk's oldest message
+        self._unsynced_since_s: float | None = None  # time of the oldest write that is not synced
+        is_copy = part_suffix != TRIAL_PART_SUFFIX
+        must_be_new = (path,) if is_copy else (path, self._part_path)
+        for file_path in must_be_new:  # never overwrite a log
+            if os.path.lexists(file_path):
                 raise LogError(
-                    f"{name}: a log of this name exists already", "write the log to another folder"
+                    f"{file_path}: a log of this name exists already",
+                    "write the log to another folder",
                 )
         try:
-            self._file = _owned(self._part) if is_copy else self._part.open("x+b")
+            self._file = _open_locked(self._part_path) if is_copy else self._part_path.open("x+b")
             _sync_folder(path.parent)
-            self._mcap = FileWriter(self._file, others)
+            self._file_writer = FileWriter(self._file, other_channels)
         except OSError as error:
             self.fail(error)
 
@@ -98,20 +104,20 @@ class Sink:
         if isinstance(record, Attachment):
             self.flush()
         else:
-            self._chunk_since = self._chunk_since or time.monotonic()
-        self._mcap.add(record)
+            self._chunk_since_s = self._chunk_since_s or time.monotonic()
+        self._file_writer.add(record)
 
     def seal(self, unix_ns: int) -> None:
         """Add the digests of all records so far, by which readers detect changes."""
-        digests = self._mcap.digests.hexdigests()
+        digests = self._file_writer.digests.hexdigests()
         self.add(Entry(DIGESTS, unix_ns, unix_ns, digests.SerializeToString()))
 
     @_while_open
     def flush(self) -> None:
         """End the present chunk of messages, and write it to the file."""
-        self._mcap.flush()
-        self._chunk_since = None
-        self._dirty_since = self._dirty_since or time.monotonic()
+        self._file_writer.flush()
+        self._chunk_since_s = None
+        self._unsynced_since_s = self._unsynced_since_s or time.monotonic()
 
     @_while_open
     def sync(self) -> None:
@@ -129,20 +135,20 @@ class Sink:
         Returns:
             The time until either is due again [s]. None if nothing waits.
         """
-        due = []
-        if self._chunk_since is not None:
-            due.append(self._chunk_since + CHUNK_S)
-        if self._dirty_since is not None:
-            due.append(self._dirty_since + SYNC_S)
-        if self._file is None or not due:
+        due_times_s = []
+        if self._chunk_since_s is not None:
+            due_times_s.append(self._chunk_since_s + CHUNK_S)
+        if self._unsynced_since_s is not None:
+            due_times_s.append(self._unsynced_since_s + SYNC_S)
+        if self._file is None or not due_times_s:
             return None
-        now = time.monotonic()
-        if min(due) > now:
-            return min(due) - now
-        if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
+        now_s = time.monotonic()
+        if min(due_times_s) > now_s:
+            return min(due_times_s) - now_s
+        if self._chunk_since_s is not None and self._chunk_since_s + CHUNK_S > now_s:
             # a simulation's chunks end by the trial's clock, so that they are the same in every run
             self._sync_written()
-            return self._chunk_since + CHUNK_S - now
+            return self._chunk_since_s + CHUNK_S - now_s
         self.sync()
         return None
 
@@ -152,11 +158,11 @@ class Sink:
 
         If `complete` is True, the file is renamed from NAME.part to NAME.
         """
-        self._mcap.finish()
+        self._file_writer.finish()
         self.sync()
         self._release()
         if complete:
-            self._part.rename(self._path)
+            self._part_path.rename(self._path)
             _sync_folder(self._path.parent)
 
     def discard(self) -> None:
@@ -167,13 +173,13 @@ class Sink:
         with suppress(OSError):
             self._release()
         with suppress(OSError):
-            self._part.unlink()
+            self._part_path.unlink()
 
     @_while_open
     def _sync_written(self) -> None:
         assert self._file is not None
         _sync_data(self._file.fileno())
-        self._dirty_since = None
+        self._unsynced_since_s = None
         self._check_exists()
 
     def _check_exists(self) -> None:
@@ -183,14 +189,14 @@ class Sink:
             OSError: If the file was moved or removed. A removed file is written again first.
         """
         assert self._file is not None
-        mine = os.fstat(self._file.fileno())
+        open_file_stat = os.fstat(self._file.fileno())
         with suppress(FileNotFoundError, NotADirectoryError):
-            if os.path.samestat(mine, self._part.stat()):
+            if os.path.samestat(open_file_stat, self._part_path.stat()):
                 return
-        if mine.st_nlink == 0:  # the file was removed
-            self._part.parent.mkdir(parents=True, exist_ok=True)
+        if open_file_stat.st_nlink == 0:  # the file was removed
+            self._part_path.parent.mkdir(parents=True, exist_ok=True)
             self._file.seek(0)
-            with self._part.open("xb") as copy:
+            with self._part_path.open("xb") as copy:
                 shutil.copyfileobj(self._file, copy)
             raise OSError(errno.ENOENT, "the file or its folder was removed during the trial")
         raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
@@ -200,10 +206,10 @@ class Sink:
         with suppress(OSError):  # closing writes the buffer, which fails again
             self._release()
         hint = None
-        if os.path.lexists(self._part) and self._part.stat().st_size > 0:
-            hint = f"the log written so far is in {self._part}"
-        why = error.strerror or str(error)
-        raise LogError(f"{self._path}: cannot write the log: {why}", hint) from error
+        if os.path.lexists(self._part_path) and self._part_path.stat().st_size > 0:
+            hint = f"the log written so far is in {self._part_path}"
+        reason = error.strerror or str(error)
+        raise LogError(f"{self._path}: cannot write the log: {reason}", hint) from error
 
     def _release(self) -> None:
         file = self._file
@@ -212,8 +218,8 @@ class Sink:
             file.close()
 
 
-def _owned(path: Path) -> BinaryIO:
-    """Create a file or empty it, and open it with a lock.
+def _open_locked(path: Path) -> BinaryIO:
+    """Open a file for writing under a lock. The file is created, or emptied if it exists.
 
     The lock ends when the process ends, even if it is killed.
 
@@ -232,11 +238,11 @@ def _owned(path: Path) -> BinaryIO:
 
 def _sync_folder(folder: Path) -> None:
     """Sync a folder, if the file system can, so that new names in it survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(handle)
+        os.fsync(descriptor)
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.ENOTSUP):
             raise
     finally:
-        os.close(handle)
+        os.close(descriptor)

@@ -10,13 +10,13 @@ from tetractl.core.errors import LogError
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result, Start
 from tetractl.log.write.encoder import Encoder
-from tetractl.log.write.sink import TRIAL_PART, Sink
+from tetractl.log.write.sink import TRIAL_PART_SUFFIX, Sink
 from tetractl.tools.worker import Relay, Worker
 
 QUEUE_MAX = 1000
-"""Maximum number of calls in the queue: more than a minute of a trial in the lab."""
+"""Maximum number of calls in the queue. In the lab, they last for more than a minute."""
 DISK_PATIENCE_S = 30.0
-"""Time after which a log is given up if the disk accepts no data [s]."""
+"""Maximum time for which the disk may accept no data, before the log is given up [s]."""
 BATCH_S = 0.5
 """Time for which the calls of a simulation are collected, before all are processed [s]."""
 
@@ -41,10 +41,10 @@ class LogWriter(Relay):
     nothing, and the records in the file stay readable.
 
     Args:
-        path: The file when the trial has ended.
+        path: Path of the log after the trial has ended.
         real_time: Whether the trial runs in real time.
-        part: The suffix before that. A copy that replaces no other log has another suffix.
-        keeps_part: Whether the log keeps its suffix at the end, because another log takes its
+        part_suffix: Suffix of the file until then. The copy of a log has another suffix.
+        keeps_part: Whether the file keeps this suffix at the end, because another log takes its
             place.
     """
 
@@ -53,14 +53,14 @@ class LogWriter(Relay):
         path: Path,
         real_time: bool = False,
         *,
-        part: str = TRIAL_PART,
+        part_suffix: str = TRIAL_PART_SUFFIX,
         keeps_part: bool = False,
     ) -> None:
         self._path = path
         self._real_time = real_time
-        self._part = part
+        self._part_suffix = part_suffix
         self._keeps_part = keeps_part
-        self._log: _OpenLog | None = None  # before the start, or if that failed
+        self._log: _OpenLog | None = None  # None before the start, or if the start failed
         self._early_failure: OSError | None = None  # of the disk, before the log began
 
     @property
@@ -70,7 +70,7 @@ class LogWriter(Relay):
 
     def on_start(self, start: Start) -> None:
         """Create the file, store metadata, specs and scene, and wait until they are on the disk."""
-        sink = Sink(self._path, self._part)
+        sink = Sink(self._path, self._part_suffix)
         encoder = Encoder(sink, self._real_time, hosted=True)
         worker = Worker(
             f"log {self._path.name}",
@@ -79,7 +79,7 @@ class LogWriter(Relay):
             patience_s=DISK_PATIENCE_S,
             too_slow=LogError(
                 f"{self._path}: the disk is too slow to write this log",
-                f"the log written so far is in {self._path}{self._part}",
+                f"the log written so far is in {self._path}{self._part_suffix}",
             ),
             idle=sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,

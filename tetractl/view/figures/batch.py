@@ -26,7 +26,7 @@ from tetractl.statistics.estimate import (
     distributions,
     published_distribution,
 )
-from tetractl.statistics.open_batch import counts
+from tetractl.statistics.open_batch import is_counted
 from tetractl.statistics.tables import GIVEN_DIRECTIONS
 from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
@@ -117,7 +117,7 @@ def batch_figure(
     """
     batches: list[BatchErrors] = []
     for group in groups:
-        paths = [trial.log for trial in group.batch.trials if counts(trial)]
+        paths = [trial.log for trial in group.batch.trials if is_counted(trial)]
         no_controller = group.experiment.directions_given
         batches.append(BatchErrors(group.name, group.totals, paths, no_controller))
     figure = _draw_panels(batches, groups[0].experiment, links or {}, narrow)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.errors import unit_of
-from tetractl.statistics.estimate import ArmErrors, Interval, numeric
+from tetractl.statistics.estimate import ArmErrors, Interval, are_numeric
 from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 
@@ -51,7 +51,7 @@ def study_errors_figure(
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)
     axes = figure.subplots()
     positions = _place_values(axes, all_arms)
-    are_numbers = numeric(all_arms)
+    are_numbers = are_numeric(all_arms)
     errors = np.array([error for arm in all_arms for error in arm.errors])
     is_logarithmic = spans_orders(errors)
     if is_logarithmic:
@@ -105,7 +105,7 @@ def _place_values(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
     Returns:
         The x coordinate of each value, by the value's `repr`.
     """
-    if not numeric(arms):
+    if not are_numeric(arms):
         labels = {repr(arm.value): arm.label for arm in arms}
         tick_labels = [label[:LABEL_LENGTH] for label in labels.values()]
         axes.set_xticks(range(len(tick_labels)), tick_labels)

@@ -287,7 +287,7 @@ class LiveView(Observer):
         Trials count from 1. The time is left out until a trial has ended.
         """
         ended = len(self._tally.errors)
-        count = 1 if self._task is None else self._task.count
+        count = 1 if self._task is None else self._task.trial_count
         number = 1 if self._task is None else self._task.trial + 1
         taken_s = self._wall() - self._tally.began_s
         time_left = ""

@@ -148,12 +148,12 @@ class StudyProgress(_TrialsBar):
             self._print_line(f"failed: {ending.task.arm}/{ending.task.trial}: {ending.failure}")
         if ending.result is not None:
             self._result_count += 1
-        can_estimate = self._result_count >= RESULTS_TO_ESTIMATE and ending.every_arm
+        can_estimate = self._result_count >= RESULTS_TO_ESTIMATE and ending.has_time_of_each_arm
         if can_estimate and not (self._is_estimate_printed or self._quiet):
             self._is_estimate_printed = True
-            if ending.left_s:
+            if ending.remaining_s:
                 basis = f"estimated from the first {self._result_count} trials"
-                self._print_line(f"expected duration {duration(ending.left_s)}, {basis}")
+                self._print_line(f"expected duration {duration(ending.remaining_s)}, {basis}")
         lines_before = self._lines_due()
         self._advance(_remaining_time(ending))
         if self._lines_due() > lines_before and not (self._bar or self._quiet):
@@ -253,7 +253,7 @@ class NotebookProgress(RunObserver):
 
 def _remaining_time(ending: Ending) -> str:
     """Describe how long the remaining trials will take, or return "" if that is unknown."""
-    return "" if ending.left_s is None else f"{duration(ending.left_s)} left"
+    return "" if ending.remaining_s is None else f"{duration(ending.remaining_s)} left"
 
 
 def trial_line(task: Task, result: Result, unit: str) -> str:
@@ -267,7 +267,7 @@ def trial_line(task: Task, result: Result, unit: str) -> str:
     entered = ", entered an obstacle" if result.entered_obstacle else ""
     reason = f" ({result.reason})" if result.outcome == "aborted" else ""
     return (
-        f"trial {task.trial + 1} of {task.count}: {result.outcome}{reason}, total error "
+        f"trial {task.trial + 1} of {task.trial_count}: {result.outcome}{reason}, total error "
         f"{result.total_error:.1f} {unit}, {result.steps} steps, {result.duration_s:.1f} s{entered}"
     )
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from tetractl.cli.app import run_app
-from tetractl.run.interrupt import LISTENER
+from tetractl.run.interrupt import SIGNAL_LISTENER
 from tetractl.spec.yaml.core_yaml import dump
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
@@ -143,7 +143,7 @@ def _run_and_exit(arguments: list[str], files: DayFolder) -> NoReturn:
         _redirect(files.output)
         for signal_number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(signal_number, signal.default_int_handler)
-        LISTENER.start()  # as each process does, so that a day leaves no more behind
+        SIGNAL_LISTENER.start()  # as each process does, so that a day leaves no more behind
         census = Census()
         sys.argv = ["tetractl", *arguments]
         code = int(run_app())

@@ -12,7 +12,7 @@ from testkit.microscope.film_logs import write_film
 
 from tetractl.log.read.reader import read_trial
 from tetractl.report.trial_data import trial_data
-from tetractl.verification.dish_pictures import SHOWN_SIDE, DishPictures
+from tetractl.verification.dish_pictures import SHOWN_SIDE_MAX_PX, DishPictures
 from tetractl.view.figures.trajectory import trajectory_figure
 
 
@@ -53,7 +53,7 @@ def test_plot_and_page_have_the_picture(log):
     data = trial_data(log, "trial-000.mcap")["dish"]
     assert len(data["jpeg"]) == len(log.pictures)
     first = Image.open(io.BytesIO(base64.b64decode(data["jpeg"][0])))
-    assert max(first.size) <= SHOWN_SIDE
+    assert max(first.size) <= SHOWN_SIDE_MAX_PX
 
 
 def test_what_cannot_be_decoded_is_left_out(log):

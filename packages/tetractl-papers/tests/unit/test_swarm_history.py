@@ -73,7 +73,7 @@ def test_costs_that_differ_from_the_logged_ones_are_noticed(log):
 
 
 def test_a_search_that_takes_too_long_is_given_up(log, monkeypatch):
-    monkeypatch.setattr(StepSearches, "expired", lambda self: True)
+    monkeypatch.setattr(StepSearches, "is_expired", lambda self: True)
     with pytest.raises(LogError, match="takes too long"):
         first_swarm(log, (0.0,))
 

@@ -22,7 +22,7 @@ INNOCENT = [
 
 @pytest.mark.parametrize("text", INNOCENT)
 def test_what_names_nobody_stays(text):
-    assert Aliases().text(text) == text
+    assert Aliases().alias_text(text) == text
 
 
 @pytest.mark.parametrize(
@@ -41,25 +41,25 @@ def test_what_names_nobody_stays(text):
     ],
 )
 def test_an_address_gets_an_alias(text, alias):
-    assert Aliases().text(text) == alias
+    assert Aliases().alias_text(text) == alias
 
 
 def test_an_address_has_the_same_alias_in_all_texts():
     aliases = Aliases()
-    first = aliases.text("192.168.1.5 and 192.168.1.6")
+    first = aliases.alias_text("192.168.1.5 and 192.168.1.6")
     assert first == "192.0.2.1 and 192.0.2.2"
-    assert aliases.text("192.168.1.6") == "192.0.2.2"
+    assert aliases.alias_text("192.168.1.6") == "192.0.2.2"
     assert aliases.counts == {"addresses": 2}
 
 
 def test_given_names_are_replaced_wherever_they_occur():
     aliases = Aliases(["Ada", "Ada Lovelace"])
-    assert aliases.text("ada lovelace's lab, ADA_lab") == "removed-1's lab, removed-2_lab"
-    assert aliases.payload(b"\x00Ada\x01ada") == b"\x00xxx\x01xxx"
+    assert aliases.alias_text("ada lovelace's lab, ADA_lab") == "removed-1's lab, removed-2_lab"
+    assert aliases.mask_payload(b"\x00Ada\x01ada") == b"\x00xxx\x01xxx"
 
 
 def test_a_computers_name_is_replaced_unless_it_is_an_ordinary_word():
     aliases = Aliases()
     for name in ("lab", "ada-laptop", ""):
-        aliases.host_name(name)
-    assert aliases.text("lab: on ada-laptop") == "lab: on removed-1"
+        aliases.add_host_name(name)
+    assert aliases.alias_text("lab: on ada-laptop") == "lab: on removed-1"

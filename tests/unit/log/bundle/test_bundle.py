@@ -54,9 +54,11 @@ def test_a_log_in_a_bundle_is_valid_and_says_nothing_of_who_wrote_it(lab_log, tm
     log, original = scan(path), scan(lab_log)
     assert not log.problems and not log.altered and not log.host_altered
     assert log.facts["host"] == "removed" != original.facts["host"]
-    assert log.text(SPEC).endswith("# by removed-1, person-1@example.org, tracker at 192.0.2.1\n")
-    assert json.loads(log.text(ENVIRONMENT))["host"]["host"] == "removed"
-    assert "packages" in json.loads(log.text(ENVIRONMENT))
+    assert log.attachment_text(SPEC).endswith(
+        "# by removed-1, person-1@example.org, tracker at 192.0.2.1\n"
+    )
+    assert json.loads(log.attachment_text(ENVIRONMENT))["host"]["host"] == "removed"
+    assert "packages" in json.loads(log.attachment_text(ENVIRONMENT))
     messages = [message.message for message in log.messages(LOG)]
     assert all(text.endswith(" at 192.0.2.1") for text in messages)
     everything = b"".join(entry.data for entry in log.entries)
@@ -74,8 +76,8 @@ def test_a_changed_log_is_not_made_to_look_unchanged(tmp_path):
     place = unpacked(tmp_path / "report.zip", tmp_path / "report")
     before = scan(ROOT / "tests/golden/format-4-torn.mcap")
     log = scan(next((place / "logs").iterdir()))
-    if before.altered or before.host_altered or not before.by_topic[DIGESTS]:
-        assert not log.by_topic[DIGESTS]
+    if before.altered or before.host_altered or not before.entries_by_topic[DIGESTS]:
+        assert not log.entries_by_topic[DIGESTS]
     assert "damaged" in (place / "contents.txt").read_text()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.log.bundle.aliases import Aliases
-from tetractl.log.bundle.capture import aliased_capture, is_capture
+from tetractl.log.bundle.capture import alias_capture, is_capture
 
 CARDS = bytes.fromhex("a0b1c2d3e4f5 102030405060".replace(" ", ""))
 PAYLOAD = b"frame 1 of Ada"
@@ -48,7 +48,7 @@ def capture(link, *packets, order="<"):
 @pytest.mark.parametrize("link", [ETHERNET, RAW_IP, COOKED, COOKED_2])
 def test_addresses_get_aliases_and_the_content_stays(link, order):
     original = capture(link, framed(link, udp("192.168.1.5", "239.255.42.99")), order=order)
-    copy = aliased_capture(original, Aliases())
+    copy = alias_capture(original, Aliases())
     assert (copy.packets, copy.left_out) == (1, 0)
     assert len(copy.data) == len(original) and copy.data[:40] == original[:40]
     assert ipaddress.ip_address("192.168.1.5").packed not in copy.data
@@ -58,14 +58,14 @@ def test_addresses_get_aliases_and_the_content_stays(link, order):
 
 
 def test_the_checksum_of_an_ipv4_header_is_right():
-    packet = aliased_capture(capture(RAW_IP, udp("192.168.1.5", "10.0.0.7")), Aliases()).data[40:]
+    packet = alias_capture(capture(RAW_IP, udp("192.168.1.5", "10.0.0.7")), Aliases()).data[40:]
     total = sum(struct.unpack(">10H", packet[:20]))
     assert (total & 0xFFFF) + (total >> 16) == 0xFFFF
     assert packet[26:28] == b"\0\0"  # UDP: none
 
 
 def test_ipv6_addresses_get_aliases():
-    copy = aliased_capture(capture(RAW_IP, udp("fe80::5", "ff02::1")), Aliases()).data
+    copy = alias_capture(capture(RAW_IP, udp("fe80::5", "ff02::1")), Aliases()).data
     both = [ipaddress.ip_address(text).packed for text in ("2001:db8::1", "ff02::1")]
     assert b"".join(both) in copy
 
@@ -77,25 +77,25 @@ def test_packets_that_say_who_is_there_are_left_out():
     ping[14 + 9] = 1
     cut = framed(ETHERNET, udp("192.168.1.5", "10.0.0.7"))[:20]
     good = framed(ETHERNET, udp("192.168.1.5", "10.0.0.7"))
-    copy = aliased_capture(capture(ETHERNET, arp, lookup, bytes(ping), cut, good), Aliases())
+    copy = alias_capture(capture(ETHERNET, arp, lookup, bytes(ping), cut, good), Aliases())
     assert (copy.packets, copy.left_out) == (1, 4)
 
 
 def test_names_in_packets_are_crossed_out():
     original = capture(RAW_IP, udp("192.168.1.5", "10.0.0.7"))
-    assert b"frame 1 of xxx" in aliased_capture(original, Aliases(["ada"])).data
+    assert b"frame 1 of xxx" in alias_capture(original, Aliases(["ada"])).data
 
 
 @pytest.mark.parametrize("end", range(24, 80, 7))
 def test_a_capture_that_is_cut_off_keeps_its_whole_packets(end):
     original = capture(RAW_IP, udp("192.168.1.5", "10.0.0.7", payload=b"")) * 1
-    copy = aliased_capture(original[:end], Aliases())
+    copy = alias_capture(original[:end], Aliases())
     assert copy.packets == (end >= len(original))
 
 
 def test_captures_that_cannot_be_copied_are_refused():
     assert not is_capture(bytes.fromhex("0a0d0d0a"))  # pcapng
     with pytest.raises(UsageError, match="link type 105"):
-        aliased_capture(capture(105), Aliases())
+        alias_capture(capture(105), Aliases())
     with pytest.raises(UsageError, match="the capture ends within"):
-        aliased_capture(capture(ETHERNET)[:10], Aliases())
+        alias_capture(capture(ETHERNET)[:10], Aliases())

@@ -24,7 +24,7 @@ def _repeating(path):
 @pytest.fixture
 def elsewhere(monkeypatch):
     """Another machine, another day, another checkout."""
-    monkeypatch.setattr(provenance, "now", lambda: "2031-01-01T00:00:00.000+00:00")
+    monkeypatch.setattr(provenance, "utc_now", lambda: "2031-01-01T00:00:00.000+00:00")
     monkeypatch.setattr(provenance, "host", lambda: {"host": "another machine", "cpu": "other"})
     monkeypatch.setattr(provenance, "versions", lambda: {"python": "3.99.0"})
     monkeypatch.setattr(provenance, "git_state", dict)
@@ -37,7 +37,9 @@ def test_the_digest_ignores_where_and_when(tmp_path, request):
     contents = scan(on_this_machine)
     contents_of_another = scan(on_another)
     assert contents.facts != contents_of_another.facts
-    assert contents.text("environment.json") != contents_of_another.text("environment.json")
+    assert contents.attachment_text("environment.json") != contents_of_another.attachment_text(
+        "environment.json"
+    )
     assert _repeating(on_this_machine) == _repeating(on_another)
     assert content_digest(on_this_machine) == content_digest(on_another)
 

@@ -53,7 +53,7 @@ def _inside(field):
 def test_a_log_holds_its_layout(tmp_path):
     run = trial(steps=2, robots=3)
     path = write(run, tmp_path / "trial.mcap")
-    assert scan(path).text(channels.LAYOUT) == layout(run.start.setup)
+    assert scan(path).attachment_text(channels.LAYOUT) == layout(run.start.setup)
     assert read_trial(path).start.attached == run.start.attached
 
 

@@ -25,7 +25,7 @@ from tetractl.core import elementwise
 from tetractl.core.loggable import DRAWN_PRECISION
 from tetractl.core.poses import Frames
 from tetractl.core.trial import EPOCH_NS, Note
-from tetractl.log.format.scene import Scene, decode_note, encode_note, frame_of, stamp
+from tetractl.log.format.scene import Scene, decode_note, encode_note, robot_frame_id, to_timestamp
 
 
 @pytest.fixture(scope="module")
@@ -121,9 +121,9 @@ def test_what_is_tracked_and_finite_is_drawn_of_any_poses_at_any_times(data, rob
         cosine = elementwise.cos(heading / 2)
         for row, time_ns in enumerate(times[tracked].tolist()):
             transforms.transforms.add(
-                timestamp=stamp(time_ns),
+                timestamp=to_timestamp(time_ns),
                 parent_frame_id="world",
-                child_frame_id=frame_of(name),
+                child_frame_id=robot_frame_id(name),
                 translation=Vector3(x=x_m[row], y=y_m[row]),
                 rotation=Quaternion(z=sine[row], w=cosine[row]),
             )
@@ -136,7 +136,7 @@ def test_what_is_tracked_and_finite_is_drawn_of_any_poses_at_any_times(data, rob
             color=colors[f"target/{name}"],
         )
         entity = {"frame_id": "world", "id": f"plan/{name}", "frame_locked": True}
-        plans.entities.add(timestamp=stamp(unix_ns), lines=[line], **entity)
+        plans.entities.add(timestamp=to_timestamp(unix_ns), lines=[line], **entity)
     exposed_ns = times[:, None].repeat(robots, axis=1)
     frames = Frames(times, times, times, poses, valid, None, exposed_ns)
     (drawn,) = scene.transforms([frames], 0)
@@ -253,7 +253,7 @@ def test_a_level_that_tetractl_does_not_write_is_read_as_info():
 
 @given(TIMES_NS)
 def test_a_stamp_is_whole_seconds_and_the_nanoseconds_left(unix_ns):
-    assert (stamp(unix_ns).seconds, stamp(unix_ns).nanos) == divmod(unix_ns, 10**9)
+    assert (to_timestamp(unix_ns).seconds, to_timestamp(unix_ns).nanos) == divmod(unix_ns, 10**9)
 
 
 def test_each_part_of_frames_has_the_transforms_of_its_own_rows_at_their_times():
@@ -267,7 +267,7 @@ def test_each_part_of_frames_has_the_transforms_of_its_own_rows_at_their_times()
         for s in (slice(0, 1), slice(1, 3))
     ]
     drawn = Scene(setup, exact=True).transforms(parts, 1000)
-    names = [frame_of(name) for name in setup.names]
+    names = [robot_frame_id(name) for name in setup.names]
     seen = [
         [(item.child_frame_id, _stamp(item), item.translation.x) for item in part.transforms]
         for part in drawn

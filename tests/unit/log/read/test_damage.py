@@ -6,7 +6,7 @@ from testkit.paths import ROOT
 
 from tetractl.log.format.channels import FRAMES, RESULT, STEP
 from tetractl.log.read.overview import overview
-from tetractl.log.read.raw_log import ALTERED
+from tetractl.log.read.raw_log import ALTERED_TEXT
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.recover import losses, recover
 from tetractl.log.read.salvage import scan
@@ -17,7 +17,7 @@ WHOLE = ROOT / "tests/golden/format-4-sim.mcap"
 
 def test_a_log_without_a_result_says_up_to_when_it_is_known():
     raw = scan(WHOLE)
-    del raw.by_topic[RESULT]
+    del raw.entries_by_topic[RESULT]
     assert raw.damaged
     trial = trial_of(raw)
     frames_s = trial.elapsed_s(int(trial.received_ns.max()))
@@ -34,7 +34,7 @@ def test_steps_that_are_kept_are_not_said_to_be_lost():
     Steps reach the disk before the frames that were received meanwhile.
     """
     raw = scan(WHOLE)
-    del raw.by_topic[RESULT], raw.by_topic[FRAMES]
+    del raw.entries_by_topic[RESULT], raw.entries_by_topic[FRAMES]
     (lost,) = trial_of(raw).damage.lost
     assert lost.startswith("the result, all camera frames and control steps after ")
     assert not lost.endswith("after 0.000 s")
@@ -54,7 +54,7 @@ def test_a_copy_of_a_torn_log_is_damaged_as_its_source_is(tmp_path):
 
 def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path):
     whole = scan(WHOLE)
-    (_, step, *_) = whole.by_topic[STEP]
+    (_, step, *_) = whole.entries_by_topic[STEP]
     altered = tmp_path / "altered.mcap"
     sink = Sink(altered)
     for record in whole.records:
@@ -64,7 +64,7 @@ def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path
     raw = scan(altered)
     assert not raw.damaged
     damage = overview(altered).damage
-    assert damage.problems == (ALTERED,)
+    assert damage.problems == (ALTERED_TEXT,)
     assert losses(raw, trial_of(raw))[0].startswith("control step")
     copied = rewritten(altered, tmp_path / "copied.mcap", in_order=True, keeps_name=True)
     assert scan(copied).altered

@@ -30,7 +30,7 @@ from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import peek, scan
-from tetractl.statistics.open_batch import counts, open_batch
+from tetractl.statistics.open_batch import is_counted, open_batch
 from tetractl.verification.verify import verify
 
 pytestmark = pytest.mark.slow
@@ -113,10 +113,10 @@ def test_a_larger_file_is_read_if_the_factor_says_so(log, monkeypatch):
         scan(log)
     monkeypatch.undo()
     before = limits.file_limit(), limits.seconds_limit()
-    monkeypatch.setenv(limits.FACTOR, "2")
+    monkeypatch.setenv(limits.FACTOR_VARIABLE, "2")
     assert (limits.file_limit(), limits.seconds_limit()) == (2 * before[0], 2 * before[1])
     for useless in ("nan", "0.1", "much"):
-        monkeypatch.setenv(limits.FACTOR, useless)
+        monkeypatch.setenv(limits.FACTOR_VARIABLE, useless)
         assert limits.file_limit() == before[0]
 
 
@@ -136,7 +136,7 @@ def test_an_index_that_cannot_be_read_is_left_out(log, tmp_path):
 
 def with_first(contents, folder, topic, data):
     """Write the log with other data in its first message of a topic; return its path."""
-    first = contents.by_topic[topic][0]
+    first = contents.entries_by_topic[topic][0]
     return rewrite(contents, folder / "trial.mcap", {first: first._replace(data=data)})
 
 
@@ -186,7 +186,7 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
     batch = open_batch([tmp_path])
     bad, good = batch.trials
     assert (bad.recovered, good.recovered, batch.damaged) == (True, False, ())
-    assert not counts(bad)
+    assert not is_counted(bad)
     log = read_trial(tmp_path / "bad.mcap")
     assert log.damage
     assert any("values that tetractl never writes" in problem for problem in log.damage.problems)
@@ -288,7 +288,7 @@ def test_a_bad_run_costs_its_own_trial_only(tmp_path, contents, changes):
 
 @pytest.mark.parametrize("topic", [RUN, RESULT, HOST_END])
 def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, topic):
-    first = contents.by_topic[topic][0]
+    first = contents.entries_by_topic[topic][0]
     path = with_first(contents, tmp_path, topic, first.data[:-1] + b"\xff")
     for read in (read_trial, read_result, overview, verify):
         try:

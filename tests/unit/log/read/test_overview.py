@@ -12,11 +12,11 @@ from tetractl.log.read.overview import channel_counts
 
 
 def contents(**times_ns):
-    by_topic = {
+    entries_by_topic = {
         topic: [Entry(topic, time_ns, time_ns, b"xyz") for time_ns in times]
         for topic, times in times_ns.items()
     }
-    return SimpleNamespace(by_topic=by_topic, channels={})
+    return SimpleNamespace(entries_by_topic=entries_by_topic, channels={})
 
 
 @given(st.integers(2, 50), st.sampled_from([1, 5, 40]), st.randoms())

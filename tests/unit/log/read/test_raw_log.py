@@ -141,13 +141,13 @@ def test_a_recovered_log_is_damaged_only_if_its_source_had_lost_something(log):
 def test_of_two_attachments_of_one_name_the_first_counts(log):
     first, second = (Attachment(0, 0, "notes", "text/plain", text) for text in (b"1", b"2"))
     both = RawLog(log.path, records=[first, second])
-    assert both.text("notes") == "1"
-    assert both.text("others") is None
+    assert both.attachment_text("notes") == "1"
+    assert both.attachment_text("others") is None
 
 
 def test_records_are_in_the_order_of_the_file(log):
     assert [*log.entries] == [r for r in log.records if isinstance(r, Entry)]
-    for topic, entries in log.by_topic.items():
+    for topic, entries in log.entries_by_topic.items():
         assert entries == [entry for entry in log.entries if entry.topic == topic]
 
 
@@ -165,7 +165,7 @@ def test_who_rewrote_a_log_and_whether_its_messages_were_sorted(
 
 def test_a_log_of_an_unknown_program_is_called_so(log):
     nameless = RawLog(log.path, records=log.records, library="")
-    assert nameless.rewritten_by == raw_log.UNKNOWN
+    assert nameless.rewritten_by == raw_log.UNKNOWN_PROGRAM
 
 
 @pytest.mark.parametrize(("size", "fits"), [(100, True), (101, False)])

@@ -187,7 +187,7 @@ def test_a_recovered_log_has_the_digest_of_what_is_intact(rotten):
 
 def test_a_log_that_is_recovered_twice_says_it_once(rotten, tmp_path):
     recover(out_path(recover(rotten)), tmp_path / "twice.mcap")
-    assert len(scan(tmp_path / "twice.mcap").by_topic[RECOVERED]) == 1
+    assert len(scan(tmp_path / "twice.mcap").entries_by_topic[RECOVERED]) == 1
 
 
 def test_what_a_killed_recovery_left_is_replaced(log, tmp_path):
@@ -221,7 +221,7 @@ def test_a_channel_that_is_only_in_the_index_is_copied(log, tmp_path):
 def test_a_lost_record_of_the_host_is_a_loss(log, tmp_path):
     """The file is whole, and so is the trial: the digest of the host's records alone tells."""
     contents = scan(log)
-    timing = contents.by_topic[HOST_TIMING][3]
+    timing = contents.entries_by_topic[HOST_TIMING][3]
     path = tmp_path / "changed.mcap"
     sink = Sink(path)
     for record in contents.records:

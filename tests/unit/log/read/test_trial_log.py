@@ -116,12 +116,12 @@ def without_steps(log, *numbers):
 )
 def test_missing_control_steps_are_found_at_both_ends_and_in_between(made_up, lost, gaps):
     found = step_gaps(without_steps(made_up, *lost))
-    assert [(gap.first, gap.last) for gap in found] == gaps
+    assert [(gap.first_number, gap.last_number) for gap in found] == gaps
 
 
 def test_without_a_result_nobody_knows_how_many_steps_there_were(made_up):
     unfinished = replace(without_steps(made_up, 2, 5), result=None)
-    assert [(gap.first, gap.last) for gap in step_gaps(unfinished)] == [(2, 2)]
+    assert [(gap.first_number, gap.last_number) for gap in step_gaps(unfinished)] == [(2, 2)]
 
 
 def test_a_gap_says_between_which_times_it_is(made_up):
@@ -142,9 +142,12 @@ def test_missing_frames_are_found_between_others(made_up, lost, gaps):
     kept = ~np.isin(made_up.frames, lost)
     log = replace(made_up, frames=made_up.frames[kept], mocap_ns=made_up.mocap_ns[kept])
     found = frame_gaps(log)
-    assert [(gap.first, gap.last) for gap in found] == gaps
+    assert [(gap.first_number, gap.last_number) for gap in found] == gaps
     for gap in found:
-        before, after = made_up.frames_s[gap.first - 1], made_up.frames_s[gap.last + 1]
+        before, after = (
+            made_up.frames_s[gap.first_number - 1],
+            made_up.frames_s[gap.last_number + 1],
+        )
         assert (gap.since_s, gap.until_s) == (before, after)
         assert str(gap).startswith("camera frame")
 

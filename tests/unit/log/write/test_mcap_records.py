@@ -51,7 +51,9 @@ def without_second_chunk(path, writer, stream, add):
     data = bytearray(stream.getvalue())
     data[(ends[0] + ends[1]) // 2] ^= 0xFF
     path.write_bytes(data)
-    return {topic: len(entries) for topic, entries in scan(path).by_topic.items() if entries}
+    return {
+        topic: len(entries) for topic, entries in scan(path).entries_by_topic.items() if entries
+    }
 
 
 def test_the_numbers_of_another_writer_are_not_taken_for_those_of_the_format(tmp_path):

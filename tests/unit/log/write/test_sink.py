@@ -131,7 +131,7 @@ def test_only_a_complete_log_loses_its_suffix(tmp_path, complete):
     ]
     (written,) = tmp_path.iterdir()
     raw = scan(written)
-    assert raw.by_topic[DIGESTS][0].log_ns == 7
+    assert raw.entries_by_topic[DIGESTS][0].log_ns == 7
     assert not raw.altered
     assert raw.problems == []
 

@@ -101,7 +101,7 @@ class Ran(NamedTuple):
     @property
     def counts(self):
         """The numbers of trials with a result, with an error, and with neither."""
-        return len(self.report.results), len(self.report.errors), self.report.left
+        return len(self.report.results), len(self.report.errors), self.report.remaining
 
 
 class Watcher:

@@ -252,9 +252,9 @@ TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
 
 
 def _way_point_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the sum of the robots' distances to each way-point when it was passed.
+    """Return columns with the sum of the robots' distances to each way-point when it was passed.
 
-    The result is None for a way-point that was not passed.
+    The value is None for a way-point that was not passed.
     """
     way_points = len(trial.experiment.setup.legs) - 1
     passed_distances = trial.result.passed[:way_points]
@@ -263,9 +263,9 @@ def _way_point_columns(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the fraction of the hold's time that each robot was near its target.
+    """Return columns with the fraction of the hold's time for which each robot was near its target.
 
-    Near means within `hold.radius`. The result is None if the hold was not completed.
+    Near means within `hold.radius`. The value is None if the hold was not completed.
     """
     if trial.experiment.hold is None:
         return {}
@@ -357,7 +357,7 @@ def _cached_discs(log: Path, digest: str | None) -> Sequence[float]:
 
 
 def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return {disc_NAME: diameter} of the disc in which each robot stayed during the hold.
+    """Return the diameter of the disc in which each robot stayed, as {disc_NAME: diameter}.
 
     Diameters are in the spec's length unit, or None if the trial is incomplete. The result is empty
     if the spec has no hold, or if the hold is not longer than SETTLING_S.

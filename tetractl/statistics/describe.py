@@ -24,8 +24,8 @@ from tetractl.statistics.mean_difference import MeanDifference, from_both_interv
 from tetractl.statistics.open_batch import (
     Batch,
     differences,
-    experiment_of,
     is_counted,
+    shared_experiment,
 )
 from tetractl.statistics.statistic import Figure, statistics
 
@@ -95,7 +95,7 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
             or if every log is an attempt that was later repeated.
         LogError: If no log can be read.
     """
-    experiment = experiment_of(batch)
+    experiment = shared_experiment(batch)
     origin = batch.trials[0].origin
     valid = [trial.result for trial in batch.trials if is_counted(trial)]
     totals = np.array([result.total_error for result in valid], dtype=float)
@@ -264,7 +264,7 @@ class Contrast(NotebookDisplay):
 
 @dataclass(frozen=True, slots=True)
 class BatchComparison(NotebookDisplay):
-    """Batches, and the contrasts of every two batches or of each batch with a baseline.
+    """Several batches, and the comparison of every pair or of each batch with a baseline.
 
     A single batch has no contrasts.
     """
@@ -369,11 +369,14 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, test_count: int) 
 
 
 def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, str]:
-    """Return the differences (n,) between the total errors of trials that form pairs.
+    """Find the pairs of trials in two batches, and compute the differences of their total errors.
 
-    The difference is the first batch minus the second. A pair is two simulated trials with the same
-    seed, number and disturbances, which do not depend on the controller. The second result is the
-    reason why there are no pairs, or "" if there are.
+    A pair is two simulated trials with the same seed, number and disturbances, which do not depend
+    on the controller.
+
+    Returns:
+        The differences, first batch minus second batch, shape (n,). Then the reason why there are
+        no pairs, or "" if there are pairs.
     """
     if not (first.origin.simulated and second.origin.simulated):
         return NO_PAIRS, "no two trials in a lab have the same disturbances"

@@ -214,8 +214,8 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
     Args:
         n: Number of values.
-        mean: Their mean.
-        std: Their standard deviation.
+        mean: Mean of the values.
+        std: Standard deviation of the values.
         ci95: 95 % confidence interval of the mean.
     """
     unknown = Tail(_NAN, 0, n, False, Interval.none(""))
@@ -237,14 +237,14 @@ def _count_tail(values: Floats, median: float, bound: float | None) -> Tail:
 
 
 def published_distribution(n: int, mean: float, std: float) -> Distribution:
-    """Describe a published result.
+    """Create the distribution of a published result from its mean and standard deviation.
 
     The interval is Student's t interval on a logarithmic scale.
 
     Args:
         n: Number of values.
-        mean: Their mean.
-        std: Their standard deviation.
+        mean: Mean of the values.
+        std: Standard deviation of the values.
     """
     if mean <= 0 or std <= 0:
         return known_distribution(n, mean, std, Interval.none("nothing varies"))
@@ -346,9 +346,9 @@ def percent(fraction: Interval) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ArmErrors:
-    """The total errors of trials with the same settings, that is, of one arm of a study.
+    """The total errors of the trials in one arm of a study, which have the same settings.
 
-    Instead of one arm, it may describe all trials with the same value of a swept field.
+    An object may also describe all trials with the same value of a swept field.
 
     Attributes:
         value: The value, or the arm's name.

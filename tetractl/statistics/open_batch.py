@@ -236,7 +236,7 @@ def find_sources(paths: Sequence[str]) -> list[Source]:
     return [Source(str(path), source.logs) for path, source in zip(listed, batches, strict=True)]
 
 
-def experiment_of(batch: Batch) -> Experiment:
+def shared_experiment(batch: Batch) -> Experiment:
     """Return the experiment that all trials and attempts of a batch share.
 
     Raises:

@@ -67,7 +67,7 @@ def summary(comparison: BatchComparison) -> list[Table]:
         and first_group.origin.comparable
         and first_group.counted
     ):
-        notes.append(f"{PUBLISHED_LABEL}: {published_text(published, first_group)}")
+        notes.append(f"{PUBLISHED_LABEL}: {describe_published_difference(published, first_group)}")
     notes += _unusual_lines(groups)
     with_notes = replace(errors, note="\n".join(notes))
     if len(groups) <= 2:
@@ -127,7 +127,7 @@ def _unusual_remarks(
     Yields:
         The label and the text of a finding, and the name of the batch or trial that it is about.
     """
-    for figure in figures_of(group):
+    for figure in figure_lines(group):
         brief = figure.text if figure.brief is None else figure.brief
         text = brief if is_one_of_several else figure.text
         if figure.unusual and text:
@@ -150,7 +150,7 @@ GIVEN_DIRECTIONS = "given directions"
 """Label in tables and figures for a batch in which no controller decided."""
 
 
-def figures_of(group: BatchStatistics) -> Iterator[Figure]:
+def figure_lines(group: BatchStatistics) -> Iterator[Figure]:
     """Yield the lines that a table shows for a batch below its errors, from top to bottom.
 
     Examples are the plant, the number of valid trials and the number of earlier attempts.
@@ -165,7 +165,7 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
     yield Figure("valid trials", valid, unusual=False)
     yield _tail_figure(group)
     if group.counted and group.from_published is not None:
-        text = published_text(group.from_published, group)
+        text = describe_published_difference(group.from_published, group)
         yield Figure(PUBLISHED_LABEL, text, unusual=False)
     yield from (figure for figure in group.figures if figure.label)
     unreadable = len(group.batch.lost)
@@ -175,7 +175,7 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
     """Return {label: text} of the formatted figures of a batch, in their order."""
-    return {figure.label: figure.text for figure in figures_of(group)}
+    return {figure.label: figure.text for figure in figure_lines(group)}
 
 
 def _tail_figure(group: BatchStatistics) -> Figure:
@@ -190,7 +190,7 @@ def _tail_figure(group: BatchStatistics) -> Figure:
     return Figure(tail.label, text, unusual=tail.above > 0 and not are_tiny)
 
 
-def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
+def describe_published_difference(difference: MeanDifference, group: BatchStatistics) -> str:
     """Describe the difference of a batch's mean error from the published mean error.
 
     A batch that does not come from real robots is not compared.

@@ -105,7 +105,7 @@ def as_yaml(value: Any) -> str:
 
 
 class Study(Model):
-    """One study, as read from a YAML file.
+    """A study, which compares many variants of a spec, as read from a YAML file.
 
     Each point of the sweep is run with each controller; such a combination is an *arm*. All arms
     have the same seeds, so trials with the same number in two arms have the same disturbances, and

@@ -44,7 +44,7 @@ def raw(digest="d1", path="a.mcap", spec="x", damaged=False):
         path=path,
         damaged=damaged,
         run=SimpleNamespace(unit="mm"),
-        text=lambda name: spec,
+        attachment_text=lambda name: spec,
     )
 
 

@@ -119,7 +119,7 @@ def test_the_limits_of_a_trial_follow_from_its_controller_and_its_fastest_robot(
 
 
 def test_one_trial_or_those_that_lack_are_run():
-    store = SimpleNamespace(lacking=[2, 3])
+    store = SimpleNamespace(unfinished=[2, 3])
     assert _list_planned(store, None) == [2, 3]
     assert _list_planned(store, 0) == [0]
 

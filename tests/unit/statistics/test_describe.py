@@ -18,7 +18,7 @@ from tetractl.log.read.trial_log import Origin
 from tetractl.statistics.as_json import batch_items
 from tetractl.statistics.flagged import flagged
 from tetractl.statistics.open_batch import Batch, Damaged
-from tetractl.statistics.tables import figures_of
+from tetractl.statistics.tables import figure_lines
 
 TRIALS = 20
 ERRORS = np.random.default_rng(4).gamma(4, 50, (TRIALS, 3)).tolist()  # of three robots [mm]
@@ -38,7 +38,7 @@ def test_the_order_of_the_logs_changes_nothing(random):
     shuffled = group(random.sample(trials, len(trials)))
     assert shuffled.total == in_order.total
     assert shuffled.robots == in_order.robots
-    assert list(figures_of(shuffled)) == list(figures_of(in_order))
+    assert list(figure_lines(shuffled)) == list(figure_lines(in_order))
 
 
 def test_only_trials_that_ran_to_their_end_enter_the_means():

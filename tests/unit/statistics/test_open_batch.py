@@ -15,10 +15,10 @@ from tetractl.statistics.open_batch import (
     Damaged,
     differences,
     errors_known,
-    experiment_of,
     find_sources,
     is_counted,
     open_batch,
+    shared_experiment,
 )
 
 
@@ -173,20 +173,20 @@ def test_two_trials_of_a_lab_may_have_one_number_but_not_one_digest():
     second = replace(second, trial=first.trial)
     for digests in (("a", "b"), (None, None), ("a", None)):
         trials = [in_lab(first, digests[0]), in_lab(second, digests[1])]
-        assert experiment_of(Batch.from_results(trials)) is first.experiment
+        assert shared_experiment(Batch.from_results(trials)) is first.experiment
     twice = Batch.from_results([in_lab(first, "a"), in_lab(second, "a")])
     with pytest.raises(UsageError, match="contain the same trial"):
-        experiment_of(twice)
+        shared_experiment(twice)
 
 
 def test_two_simulated_trials_may_have_one_number_or_one_seed_but_not_both():
     first, second = batch([[1.0], [2.0]])
     other_seed = replace(second, trial=first.trial, seed=9)
     for trials in ([first, second], [first, other_seed]):
-        assert experiment_of(Batch.from_results(trials)) is first.experiment
+        assert shared_experiment(Batch.from_results(trials)) is first.experiment
     same = replace(second, trial=first.trial, digest="another")
     with pytest.raises(UsageError, match=r"trial-000\.mcap and trial-001\.mcap contain"):
-        experiment_of(Batch.from_results([first, same]))
+        shared_experiment(Batch.from_results([first, same]))
 
 
 def stopped(trial):

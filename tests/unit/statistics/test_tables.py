@@ -19,7 +19,7 @@ from tetractl.statistics.open_batch import Damaged
 from tetractl.statistics.tables import (
     decimals_shown,
     error_format,
-    figures_of,
+    figure_lines,
     summary,
     tables,
     trials_listed,
@@ -442,7 +442,7 @@ def test_the_table_of_flagged_trials_ends_with_the_number_of_those_left_out(coun
 def tail_of(errors):
     (figure,) = [
         figure
-        for figure in figures_of(described([[error] for error in errors], spec=experiment(1)))
+        for figure in figure_lines(described([[error] for error in errors], spec=experiment(1)))
         if figure.label.startswith("errors above")
     ]
     return figure
@@ -462,7 +462,7 @@ def test_errors_far_above_the_others_are_unusual_unless_all_are_tiny():
 
 def test_attempts_and_unreadable_logs_are_unusual_only_if_there_are_some():
     def unusual(described_batch):
-        return {figure.label for figure in figures_of(described_batch) if figure.unusual}
+        return {figure.label for figure in figure_lines(described_batch) if figure.unusual}
 
     labels = {"earlier attempts, excluded", "logs that cannot be read"}
     assert not unusual(described()) & labels

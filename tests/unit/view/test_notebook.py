@@ -119,7 +119,7 @@ def test_a_notebook_has_one_bar_that_grows():
     output = SimpleNamespace(update=lambda bar: updates.append(bar._repr_html_()))
     progress = NotebookProgress(3, lambda bar, display_id: output, lambda: next(times))
     for left_s in (8.0, 4.0, 0.0):
-        progress.trial_ended(SimpleNamespace(left_s=left_s))
+        progress.trial_ended(SimpleNamespace(remaining_s=left_s))
     assert updates == [
         '<progress value="2" max="3"></progress> 2 of 3 trials; 4 s left',
         '<progress value="3" max="3"></progress> 3 of 3 trials',

@@ -76,7 +76,7 @@ class RawLog:
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
-        """The attachments by name. If two have the same name, the first one counts."""
+        """The attachments by name. If two have the same name, the first attachment counts."""
         by_name: dict[str, Attachment] = {}
         for record in self.records:
             if isinstance(record, Attachment):
@@ -149,7 +149,7 @@ class RawLog:
 
         The value is None if the result is missing or cannot be read.
         """
-        return self.result_or_why_not if isinstance(self.result_or_why_not, Result) else None
+        return self.result_or_problem if isinstance(self.result_or_problem, Result) else None
 
     @property
     def damaged(self) -> bool:
@@ -160,7 +160,7 @@ class RawLog:
         return bool(self.problems) or self.recovered is not None or self.result is None
 
     @cached_property
-    def result_or_why_not(self) -> Result | str:
+    def result_or_problem(self) -> Result | str:
         """The result of the trial, or a message that explains why the result cannot be read."""
         if not self.entries_by_topic[channels.RESULT]:
             return (
@@ -261,9 +261,9 @@ class RawLog:
 
     @cached_property
     def recovered(self) -> Damage | None:
-        """The damage of the log from which this one was recovered.
+        """The damage of the original log from which this log was recovered.
 
-        The value is None if this log was not recovered, or if the original had lost nothing.
+        The value is None if this log was not recovered, or if the original log had lost nothing.
         """
         if not self.entries_by_topic[channels.RECOVERED]:
             return None

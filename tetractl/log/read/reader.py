@@ -121,7 +121,7 @@ def _describe_damage(contents: RawLog, trial: TrialLog) -> Damage:
     problems = [*source.problems, *contents.problems]
     lost = [*source.lost, *contents.lost]
     if contents.result is None:
-        problems.append(str(contents.result_or_why_not))
+        problems.append(str(contents.result_or_problem))
         frames_ns = int(trial.received_ns.max()) if len(trial.received_ns) else None
         steps_ns = trial.steps[-1].command.sent_ns if trial.steps else None
         frames = _all_after(trial, "camera frames", frames_ns)

@@ -114,7 +114,7 @@ def scan(path: Path) -> RawLog:
 
 
 class _Scan:
-    """One pass over a log file, which verifies records, keeps intact ones and lists problems."""
+    """One pass over a log file, which verifies records, keeps intact records and lists problems."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -224,7 +224,7 @@ class _Scan:
         index_offset, _, _ = _FOOTER.unpack_from(self._data, footer_offset)
         if index_offset == 0 and self._is_foreign:
             return None
-        if index_offset > footer_offset or not self._has_checksum(
+        if index_offset > footer_offset or not self._has_valid_checksum(
             index_offset, footer_offset + _FOOTER.size - _CHECKSUM.size
         ):
             self._problems.append("the index at the end of the file is damaged")
@@ -303,7 +303,9 @@ class _Scan:
             self._record_by_offset[begin_offset] = self._unpack_messages(chunk_data)
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
-            if not self._has_checksum(begin_offset, begin_offset + stream.count - _CHECKSUM.size):
+            if not self._has_valid_checksum(
+                begin_offset, begin_offset + stream.count - _CHECKSUM.size
+            ):
                 raise ValueError("the attachment's checksum does not match")
             self._count_kept_bytes(stream.count)
             self._record_by_offset[begin_offset] = attachment
@@ -378,8 +380,8 @@ class _Scan:
             has_loose_messages=self._has_loose_messages,
         )
 
-    def _has_checksum(self, begin_offset: int, end_offset: int) -> bool:
-        """Check whether the checksum at `end_offset` matches the bytes from `begin_offset` on.
+    def _has_valid_checksum(self, begin_offset: int, end_offset: int) -> bool:
+        """Check whether the checksum at `end_offset` matches the bytes from `begin_offset` to it.
 
         A file of another program may leave out its checksums.
         """

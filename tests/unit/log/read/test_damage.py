@@ -22,7 +22,7 @@ def test_a_log_without_a_result_says_up_to_when_it_is_known():
     trial = trial_of(raw)
     frames_s = trial.elapsed_s(int(trial.received_ns.max()))
     steps_s = trial.elapsed_s(trial.steps[-1].command.sent_ns)
-    assert trial.damage.problems == (raw.result_or_why_not,)
+    assert trial.damage.problems == (raw.result_or_problem,)
     (lost,) = trial.damage.lost
     frames = f"camera frames after {frames_s:.3f} s"
     assert lost == f"the result, {frames} and control steps after {steps_s:.3f} s"
@@ -92,4 +92,4 @@ def test_a_torn_log_says_what_is_torn():
 @pytest.mark.parametrize("log", [WHOLE, TORN])
 def test_a_result_that_is_known_has_no_reason_to_be_unknown(log):
     raw = scan(log)
-    assert (raw.result is None) == isinstance(raw.result_or_why_not, str)
+    assert (raw.result is None) == isinstance(raw.result_or_problem, str)

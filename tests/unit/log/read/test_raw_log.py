@@ -105,11 +105,11 @@ def test_a_result_that_is_missing_or_impossible_damages_a_log(log, tmp_path):
     unfinished = without(log, RESULT)
     assert unfinished.damaged
     assert unfinished.result is None
-    assert "has no result" in unfinished.result_or_why_not
+    assert "has no result" in unfinished.result_or_problem
     assert unfinished.warnings == 0
     impossible = changed(log, tmp_path, RESULT, duration_s=float("nan"))
     assert impossible.damaged
-    assert "values that tetractl never writes" in impossible.result_or_why_not
+    assert "values that tetractl never writes" in impossible.result_or_problem
 
 
 @pytest.mark.parametrize(("stated", "shown"), [(-3, 0), (0, 0), (7, 7)])

@@ -116,7 +116,7 @@ def test_a_study_says_once_how_long_it_will_take_when_it_knows_of_every_arm():
     assert expected(known) == [(first, text)]
     failed = [ending(0, failure="x", left_s=90.0), *known]
     assert expected(failed) == [(first + 1, text)]
-    late = [replace(one, every_arm=k >= 5) for k, one in enumerate(known)]
+    late = [replace(one, has_time_of_each_arm=k >= 5) for k, one in enumerate(known)]
     assert expected(late) == [(5, text.replace(f"first {RESULTS_TO_ESTIMATE}", "first 6"))]
     nothing_left = [ending(k, left_s=0.0) for k in range(9)]
     assert expected(nothing_left) == []

@@ -108,26 +108,26 @@ def _shared_s(poses: Span, commands: Span) -> float:
     return min(poses.end, commands.end) - max(poses.begin, commands.begin)
 
 
-def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
+def refuse_times_apart(poses: Span, times: Floats, commands: Span) -> None:
     """Check that at least one command acts while poses were recorded.
 
     Args:
         poses: When poses were recorded.
-        sent: Times of the commands [s], in order, shape (C,).
+        times: Times of the commands [s], in order, shape (C,).
         commands: When commands acted.
 
     Raises:
         UsageError: If no command does.
     """
     if _shared_s(poses, commands) <= 0:
-        last = Span(commands.source, commands.begin, float(sent[-1]))
+        commands_span = Span(commands.source, commands.begin, float(times[-1]))
         raise UsageError(
-            f"{last}: no time in this file is within the times of {poses}",
+            f"{commands_span}: no time in this file is within the times of {poses}",
             "the times in both files must come from the same clock",
         )
 
 
-COVERED = 0.9
+COVERED_MIN = 0.9
 """Fraction of the robots' path under commands below which a remark reports it.
 
 The value is chosen, not measured.
@@ -138,40 +138,40 @@ DIRECTIONS_MIN = 2
 Below it, a warning says that the direction hardly changes, if there are more commands outside the
 recording.
 """
-COMMANDS_USUAL = 20
-TIMES_AS_LONG = 100
+COMMANDS_WITHIN_USUAL = 20
+DURATION_RATIO_MAX = 100
 """Maximum ratio of all commands' duration to the recording's, if it has few commands.
 
-Above it, a warning also appears for fewer than COMMANDS_USUAL commands during the recording. It is
-chosen below the factor of 1000 between two units of time, for example if milliseconds are given as
-seconds.
+Above it, a warning also appears for fewer than COMMANDS_WITHIN_USUAL commands during the recording.
+It is chosen below the factor of 1000 between two units of time, for example if milliseconds are
+given as seconds.
 """
 
 
-def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> str | None:
+def clock_remark(poses: Span, times: Floats, commands: Span, covered_fraction: float) -> str | None:
     """Return a remark if commands seem to come from another clock. None if they do not.
 
     Args:
         poses: When poses were recorded.
-        sent: Times of the commands [s], in order, shape (C,).
+        times: Times of the commands [s], in order, shape (C,).
         commands: When commands acted.
-        of_way: Fraction of the robots' path during which a command acts.
+        covered_fraction: Fraction of the robots' path during which a command acts.
     """
     seen_s = poses.end - poses.begin
-    if of_way < COVERED:
+    if covered_fraction < COVERED_MIN:
         shared_s = _shared_s(poses, commands)
         return (
             f"{commands.source} covers only {shared_s:.3g} s of the {seen_s:.3g} s of "
             f"{poses.source}"
         )
-    count = len(sent)
-    within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
-    hardly_any_within = within < DIRECTIONS_MIN < count
-    last_much_longer = float(np.ptp(sent)) > TIMES_AS_LONG * seen_s
-    if hardly_any_within or (within < COMMANDS_USUAL and last_much_longer):
-        are = "is" if within == 1 else "are"
+    n_commands = len(times)
+    n_within = int(np.count_nonzero((times >= poses.begin) & (times < poses.end)))
+    are_few_within = n_within < DIRECTIONS_MIN < n_commands
+    last_far_longer = float(np.ptp(times)) > DURATION_RATIO_MAX * seen_s
+    if are_few_within or (n_within < COMMANDS_WITHIN_USUAL and last_far_longer):
+        verb = "is" if n_within == 1 else "are"
         return (
-            f"only {within} of the {count} times of {commands.source} {are} within the "
+            f"only {n_within} of the {n_commands} times of {commands.source} {verb} within the "
             f"{seen_s:.3g} s of {poses.source}: are the times in seconds, as their column says?"
         )
     return None

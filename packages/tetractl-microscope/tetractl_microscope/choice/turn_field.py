@@ -31,12 +31,12 @@ def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
     Returns:
         A function from time [ns] to the direction of the field [rad].
     """
-    start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
+    start_rad = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
     def direction(now_ns: int) -> float:
         k = int(4 * now_ns / SECOND / turn_s)
-        off = float(np.random.default_rng((seed, k)).uniform(-JITTER, JITTER))
-        return math.remainder(start + math.pi / 2 * k + off, math.tau)
+        jitter_rad = float(np.random.default_rng((seed, k)).uniform(-JITTER, JITTER))
+        return math.remainder(start_rad + math.pi / 2 * k + jitter_rad, math.tau)
 
     return direction
 
@@ -66,12 +66,12 @@ def turn_field(
     """
     tracker = tracker_of(rig)
     rig.loop.idle = manoeuvre(choice.turn, seed)
-    walled: set[int] = set()
-    began = rig.clock.now()
-    before = rig.loop.frames.count
-    while rig.clock.now() - began < choice.seconds * SECOND:
+    numbers_near_wall: set[int] = set()
+    start_ns = rig.clock.now()
+    frames_before = rig.loop.frames.count
+    while rig.clock.now() - start_ns < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
-        walled |= {cell.number for cell in tracker.candidates() if not cell.free}
+        numbers_near_wall |= {cell.number for cell in tracker.candidates() if not cell.free}
         on_look()
         if supervision.emergency.is_set():
             raise AbortError("emergency stop by the operator")
@@ -82,15 +82,18 @@ def turn_field(
             raise AbortError(failure)
         if rig.measure_silence_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.loop.guard.explain_missing_frames(rig.measure_silence_ns()))
-    now = tracker.candidates()
-    cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
+    candidates = tracker.candidates()
+    cells = [
+        replace(cell, free=cell.free and cell.number not in numbers_near_wall)
+        for cell in candidates
+    ]
     # a cell is recognised if it moves by at most 35 um between two pictures
-    least = choice.speed * rig.setup.metres * 1e6 / 35.0
-    rate = (rig.loop.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
-    if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
+    rate_min_hz = choice.speed * rig.setup.metres * 1e6 / 35.0
+    rate_hz = (rig.loop.frames.count - frames_before) * SECOND / max(rig.clock.now() - start_ns, 1)
+    if sum(cell.magnetised for cell in cells) < choice.choose and rate_hz < rate_min_hz:
         raise AbortError(
-            f"only {rate:.1f} images per second were searched, but {least:.0f} are needed to "
-            f"follow cells that swim {choice.speed:g} {rig.setup.unit}/s",
+            f"only {rate_hz:.1f} images per second were searched, but {rate_min_hz:.0f} are needed "
+            f"to follow cells that swim {choice.speed:g} {rig.setup.unit}/s",
             "do other programs keep this computer busy? Smaller images also take less time to "
             "search",
         )

@@ -20,10 +20,10 @@ class Multipart:
 
     def __init__(self, boundary: str) -> None:
         self.damaged = 0
-        self._mark = b"--" + boundary.lstrip("-").encode("latin-1", "replace")
-        self._held = bytearray()
-        self._inside = False  # whether the buffer begins after a boundary
-        self._scanned = 0  # number of buffered bytes already searched for the end of the part
+        self._boundary = b"--" + boundary.lstrip("-").encode("latin-1", "replace")
+        self._buffer = bytearray()
+        self._is_in_part = False  # whether the buffer begins after a boundary
+        self._scanned_count = 0  # number of buffered bytes already searched for the end of the part
         self._bodies: list[bytes] = []
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -32,92 +32,107 @@ class Multipart:
         Bytes of an incomplete body are kept for the next call. Damaged parts are dropped
         and counted.
         """
-        self._held += data
-        while self._part() if self._inside else self._find():
+        self._buffer += data
+        while self._read_part() if self._is_in_part else self._skip_to_boundary():
             pass
         bodies = self._bodies
         self._bodies = []
         return bodies
 
-    def _find(self) -> bool:
-        """Drop the bytes up to the next boundary, and the boundary. Return whether there is one.
+    def _skip_to_boundary(self) -> bool:
+        """Drop the bytes up to the next boundary, and the boundary itself.
 
-        Without one, bytes that may be its beginning are kept.
+        If the buffer contains no boundary, bytes that may be the beginning of one are kept.
+
+        Returns:
+            Whether the buffer contained a boundary.
         """
-        found_at = self._held.find(self._mark)
+        found_at = self._buffer.find(self._boundary)
         if found_at < 0:
-            del self._held[: max(0, len(self._held) - len(self._mark) + 1)]
+            del self._buffer[: max(0, len(self._buffer) - len(self._boundary) + 1)]
             return False
-        self._cut(found_at + len(self._mark), inside=True)
+        self._remove_bytes(found_at + len(self._boundary), inside=True)
         return True
 
-    def _part(self) -> bool:
-        """Try to complete the part at the start of the buffer. Return whether to continue.
+    def _read_part(self) -> bool:
+        """Try to complete the part at the start of the buffer. An invalid part is dropped.
 
-        An invalid part is dropped. If more bytes are needed, the buffer stays as it is and
-        the result is False.
+        Returns:
+            Whether to continue with the buffer. False if more bytes are needed. The buffer then
+            stays as it is.
         """
-        head = self._held.find(_BLANK, 0, HEAD_MAX)
-        cut = self._held.find(self._mark, 0, head if head >= 0 else HEAD_MAX)
-        if cut >= 0 or (head < 0 and len(self._held) >= HEAD_MAX):
-            return self._drop()
-        if head < 0:
+        head_end = self._buffer.find(_BLANK, 0, HEAD_MAX)
+        boundary_in_head = self._buffer.find(
+            self._boundary, 0, head_end if head_end >= 0 else HEAD_MAX
+        )
+        if boundary_in_head >= 0 or (head_end < 0 and len(self._buffer) >= HEAD_MAX):
+            return self._drop_part()
+        if head_end < 0:
             return False
-        start = head + len(_BLANK)
-        length = _content_length(bytes(self._held[:head]))
+        body_start = head_end + len(_BLANK)
+        length = _content_length(bytes(self._buffer[:head_end]))
         if length is not None and not 0 <= length <= BODY_MAX:
-            return self._drop()
-        end = self._held.find(self._mark, max(start, self._scanned))
-        self._scanned = max(start, len(self._held) - len(self._mark) + 1)
+            return self._drop_part()
+        body_end = self._buffer.find(self._boundary, max(body_start, self._scanned_count))
+        self._scanned_count = max(body_start, len(self._buffer) - len(self._boundary) + 1)
         if length is None:
-            return self._unmeasured(start, end)
-        if 0 <= end < start + length:  # a boundary comes before the stated length of the body
-            return self._drop()
-        if len(self._held) < start + length:
+            return self._read_part_without_length(body_start, body_end)
+        if (
+            0 <= body_end < body_start + length
+        ):  # a boundary comes before the stated length of the body
+            return self._drop_part()
+        if len(self._buffer) < body_start + length:
             return False
-        self._bodies.append(bytes(self._held[start : start + length]))
-        self._cut(start + length, inside=False)
+        self._bodies.append(bytes(self._buffer[body_start : body_start + length]))
+        self._remove_bytes(body_start + length, inside=False)
         return True
 
-    def _unmeasured(self, start: int, end: int) -> bool:
+    def _read_part_without_length(self, body_start: int, body_end: int) -> bool:
         """Complete a part without a Content-Length if its end has arrived.
 
-        Returns whether to continue.
+        A part that is longer than BODY_MAX is dropped.
 
-        `end` is negative if it has not arrived. A part that is longer than BODY_MAX is dropped.
+        Args:
+            body_start: Index of the body's first byte in the buffer.
+            body_end: Index after the body's last byte. Negative if that byte has not arrived.
+
+        Returns:
+            Whether to continue with the buffer. False if more bytes are needed.
         """
-        if end < 0:
-            return self._drop() if len(self._held) - start > BODY_MAX else False
-        self._bodies.append(bytes(self._held[start:end]).removesuffix(b"\r\n"))
-        self._cut(end, inside=False)
+        if body_end < 0:
+            return self._drop_part() if len(self._buffer) - body_start > BODY_MAX else False
+        self._bodies.append(bytes(self._buffer[body_start:body_end]).removesuffix(b"\r\n"))
+        self._remove_bytes(body_end, inside=False)
         return True
 
-    def _drop(self) -> bool:
+    def _drop_part(self) -> bool:
         """Give up the present part as damaged, and count it.
 
         The result is always True, to continue with the next boundary.
         """
         self.damaged += 1
-        self._cut(0, inside=False)
+        self._remove_bytes(0, inside=False)
         return True
 
-    def _cut(self, end: int, inside: bool) -> None:
-        """Remove `end` bytes from the start of the buffer.
+    def _remove_bytes(self, n_bytes: int, inside: bool) -> None:
+        """Remove bytes from the start of the buffer.
 
-        `inside` says whether the buffer then starts with a part.
+        Args:
+            n_bytes: Number of bytes to remove.
+            inside: Whether the buffer then starts with a part.
         """
-        del self._held[:end]
-        self._inside = inside
-        self._scanned = 0
+        del self._buffer[:n_bytes]
+        self._is_in_part = inside
+        self._scanned_count = 0
 
 
-def _content_length(head: bytes) -> int | None:
+def _content_length(header: bytes) -> int | None:
     """Return the Content-Length of a part.
 
     The result is None if it is missing, and -1 if it is not a number or has more than 11
     digits.
     """
-    for line in head.split(b"\r\n"):
+    for line in header.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"content-length":
             digits = value.strip()

@@ -22,8 +22,8 @@ from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import describe_wrong_sides, find_handedness
 from tetractl_microscope.one_recording import Span, clock_remark, refuse_times_apart
 
-STRENGTH = "strength"
-STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
+STRENGTH_COLUMN = "strength"
+STRENGTH_MAX = 100.0  # greatest strength of a field, relative to the reference field
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
@@ -48,7 +48,7 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
 
 
 def clock_remarks(
-    field: FieldRecord, source: str, tracks: str, begin: float, end: float
+    field: FieldRecord, source: str, tracks: str, start_s: float, end_s: float
 ) -> tuple[str, ...]:
     """Warn if the times of the field hardly overlap with the times of the tracks.
 
@@ -56,34 +56,36 @@ def clock_remarks(
         field: The field.
         source: The file of the field.
         tracks: The file of the tracks.
-        begin: When the tracks begin [s].
-        end: When the tracks end [s].
+        start_s: When the tracks begin [s].
+        end_s: When the tracks end [s].
 
     Raises:
         UsageError: If they do not overlap at all.
     """
-    shown_span = Span(tracks, begin, end)
-    sent = Span(source, float(field.times[0]), math.inf)
-    covered = (end - max(begin, sent.begin)) / max(end - begin, 1e-9)  # cells swim all the time
-    refuse_times_apart(shown_span, field.times, sent)
-    remark = clock_remark(shown_span, field.times, sent, covered)
+    tracks_span = Span(tracks, start_s, end_s)
+    field_span = Span(source, float(field.times[0]), math.inf)
+    covered = (end_s - max(start_s, field_span.begin)) / max(
+        end_s - start_s, 1e-9
+    )  # cells swim all the time
+    refuse_times_apart(tracks_span, field.times, field_span)
+    remark = clock_remark(tracks_span, field.times, field_span, covered)
     return () if remark is None else (f"warning: {remark}",)
 
 
-def _no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
+def _missing_column_error(path: Path, name: str, headers: Sequence[str]) -> UsageError:
     """Create the error for a table without a required column. It shows the first eight columns.
 
     If there are no columns, it says that the file has no rows.
     """
     if not headers:
         return UsageError(f"{path}: the file has no rows below its header")
-    has = printable(", ".join(headers[:8]))
-    return UsageError(f"{path}: the column {name} is missing; the columns are {has}")
+    listed = printable(", ".join(headers[:8]))
+    return UsageError(f"{path}: the column {name} is missing; the columns are {listed}")
 
 
-def no_field(start: float, end: float) -> Sequence[Piece]:
-    """Return one interval without a field, from `start` to `end` [s]."""
-    return ((end - start, 0.0, 0.0),)
+def no_field(start_s: float, end_s: float) -> Sequence[Piece]:
+    """Return one interval without a field, from `start_s` to `end_s` [s]."""
+    return ((end_s - start_s, 0.0, 0.0),)
 
 
 def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
@@ -101,33 +103,35 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
         UsageError: If a column is missing or a value is invalid.
     """
     headers = read_column_names(path)
-    time = find_time(path, headers)
-    angle = find_column(path, headers, ("direction",), RADIANS)
-    if time is None or angle is None:
-        raise _no_column(path, "time_s" if time is None else "direction_rad", headers)
-    strong = NumberColumn(STRENGTH) if STRENGTH in headers else None
+    time_column = find_time(path, headers)
+    direction_column = find_column(path, headers, ("direction",), RADIANS)
+    if time_column is None or direction_column is None:
+        raise _missing_column_error(
+            path, "time_s" if time_column is None else "direction_rad", headers
+        )
+    strength_column = NumberColumn(STRENGTH_COLUMN) if STRENGTH_COLUMN in headers else None
     lines: list[int] = []
     times: list[float] = []
     angles: list[float] = []
     strengths: list[float] = []
     for row in read_csv(path):
-        times.append(time.number(path, row))
+        times.append(time_column.number(path, row))
         if len(times) > 1 and times[-1] < times[-2]:
             raise create_order_error(path, row)
-        strength = 1.0 if strong is None else strong.optional(path, row)
+        strength = 1.0 if strength_column is None else strength_column.optional(path, row)
         strength = 1.0 if math.isnan(strength) else strength
-        if abs(strength) > STRONGEST:
-            said = f"{path}, line {row.line}: {STRENGTH}: {strength:g} is too large"
+        if abs(strength) > STRENGTH_MAX:
+            problem = f"{path}, line {row.line}: {STRENGTH_COLUMN}: {strength:g} is too large"
             raise UsageError(
-                said,
+                problem,
                 "the strength is relative to the reference field, and can "
-                f"be at most {STRONGEST:g}",
+                f"be at most {STRENGTH_MAX:g}",
             )
         strengths.append(strength)
-        angles.append(angle.number(path, row))
+        angles.append(direction_column.number(path, row))
         lines.append(row.line)
     directions = np.array(angles)
-    refuse_degrees(path, angle, lines, directions)
+    refuse_degrees(path, direction_column, lines, directions)
     if upside_down:
         directions = -directions
     return FieldRecord(np.array(times), directions, np.array(strengths))

@@ -18,26 +18,26 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 
-ONWARD = 0.5
+COSINE_MIN = 0.5
 """Mean cosine between successive displacements below which objects go to and fro.
 
 Long displacements count most. Beads in water have .23, Euglena .78, Paramecium .92.
 """
-FEW = 1 / 3
+KEEPING_FRACTION_MIN = 1 / 3
 """Fraction of objects that keep going below which hardly any does.
 
 Of 2,000 simulated beads, seen in 20 to 40 images, .00 to .21 seem to keep going if a step is at
 least a tenth of their length. Of slower beads, up to .57 do, but few of these are examined, because
 most do not get MOVED lengths away.
 """
-LONGEST_S = 1.0
+DISPLACEMENT_MAX_S = 1.0
 """Maximum time of a displacement of a track that is tried [s].
 
 Over longer times, swimmers turn; over shorter ones, positions scatter.
 """
 PAIRS_MIN = 10
 """Minimum number of independent pairs of displacements for a cosine."""
-EVEN = 0.2
+STEP_SCATTER_MAX = 0.2
 """Maximum relative scatter of the lengths of steps that count as equally long.
 
 It is their standard deviation from image to image, divided by their mean. Of simulated tracks of 40
@@ -51,56 +51,56 @@ TO_AND_FRO = "nothing swims: everything that moves goes back and forth, as beads
 
 
 @dataclass(frozen=True, slots=True)
-class Onward:
-    """How similar the successive displacements of an object are.
+class Persistence:
+    """The agreement in direction between successive displacements of an object.
 
     Attributes:
-        alike: Sum of the scalar products of successive displacements.
-        most: The maximum that this sum can have: the sum of the products of their lengths.
+        product_sum: Sum of the scalar products of successive displacements.
+        product_max: The maximum that this sum can have: the sum of the products of their lengths.
     """
 
-    alike: float
-    most: float
+    product_sum: float
+    product_max: float
 
     @property
-    def goes_on(self) -> bool:
+    def keeps_direction(self) -> bool:
         """Whether successive displacements mostly point in the same direction."""
-        return self.alike >= ONWARD * self.most
+        return self.product_sum >= COSINE_MIN * self.product_max
 
 
-def onward(places: Floats, apart: int) -> Onward:
-    """Compare successive displacements along a path.
+def measure_persistence(places: Floats, n_steps: int) -> Persistence:
+    """Compare the directions of successive displacements along a path.
 
     Args:
         places: Positions, shape (K, 2).
-        apart: Number of steps of a displacement.
+        n_steps: Number of steps in a displacement.
     """
-    moved = places[apart:] - places[:-apart]
-    before = moved[:-apart]
-    after = moved[apart:]
-    lengths = np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1)
-    product = float(np.vdot(before, after))
-    return Onward(product, float(lengths))
+    displacements = places[n_steps:] - places[:-n_steps]
+    earlier = displacements[:-n_steps]
+    later = displacements[n_steps:]
+    length_product = np.linalg.norm(earlier, axis=1) @ np.linalg.norm(later, axis=1)
+    scalar_product = float(np.vdot(earlier, later))
+    return Persistence(scalar_product, float(length_product))
 
 
-def hardly_any_goes_on(going_on: Sequence[bool]) -> bool:
+def hardly_any_keeps_direction(keeps_direction: Sequence[bool]) -> bool:
     """Check whether so few objects keep their direction that this may be chance.
 
     It is False without any object.
     """
-    return sum(going_on) < FEW * len(going_on)
+    return sum(keeps_direction) < KEEPING_FRACTION_MIN * len(keeps_direction)
 
 
-def track_goes_on(times: Floats, places: Floats) -> bool:
+def track_keeps_direction(times: Floats, places: Floats) -> bool:
     """Check whether a track keeps its direction, or has steps of equal length.
 
     The direction is compared over the time in which its displacements are most similar.
     """
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if len(lengths) >= STEPS_MIN and lengths.std() < EVEN * lengths.mean():
+    if len(lengths) >= STEPS_MIN and lengths.std() < STEP_SCATTER_MAX * lengths.mean():
         return True
     step_s = float(np.median(np.diff(times)))
-    steps_longest = round(LONGEST_S / step_s)
-    longest = max(1, min(steps_longest, len(times) // PAIRS_MIN))
-    tried = [onward(places, apart) for apart in range(1, longest + 1)]
-    return any(single.goes_on for single in tried)
+    n_steps_limit = round(DISPLACEMENT_MAX_S / step_s)
+    n_steps_max = max(1, min(n_steps_limit, len(times) // PAIRS_MIN))
+    persistences = [measure_persistence(places, n_steps) for n_steps in range(1, n_steps_max + 1)]
+    return any(persistence.keeps_direction for persistence in persistences)

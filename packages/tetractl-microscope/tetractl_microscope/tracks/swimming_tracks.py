@@ -15,7 +15,11 @@ from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
 from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath, fit_tracks
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
-from tetractl_microscope.tracks.onward import TO_AND_FRO, hardly_any_goes_on, track_goes_on
+from tetractl_microscope.tracks.onward import (
+    TO_AND_FRO,
+    hardly_any_keeps_direction,
+    track_keeps_direction,
+)
 
 SHORTEST_S = 2.0
 """Minimum duration of a track of which a speed is stated [s]."""
@@ -103,8 +107,8 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
             f"film at {math.ceil(IMAGE_RATE_MIN_HZ)} images/s or more; if the times are in ms, "
             "name their column time_ms",
         )
-    going_on = [track_goes_on(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
-    if hardly_any_goes_on(going_on):
+    going_on = [track_keeps_direction(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
+    if hardly_any_keeps_direction(going_on):
         raise TetractlError(
             f"{source}: {TO_AND_FRO}",
             "give tracks of swimming cells: a swimming cell moves "

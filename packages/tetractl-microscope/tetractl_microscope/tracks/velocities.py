@@ -26,24 +26,24 @@ def vsl_um_s(times: Floats, places: Floats) -> float | None:
     if len(times) < 2:
         return None
     velocities = [
-        distance_um(places[[first, last]]) / (times[last] - times[first])
-        for first, last in pairwise(_ends(times))
+        distance_um(places[[start, stop]]) / (times[stop] - times[start])
+        for start, stop in pairwise(_find_part_ends(times))
     ]
     return float(np.mean(velocities))
 
 
-def _ends(times: Floats) -> list[int]:
+def _find_part_ends(times: Floats) -> list[int]:
     """Return the indices of the images at which successive parts of a track end.
 
     They are the images nearest to each multiple of WINDOW_S. The first image is included.
     """
-    step = float(np.median(np.diff(times)))
-    ends = [0]
-    while times[ends[-1]] + WINDOW_S < times[-1] + step / 2:
-        due = times[ends[-1]] + WINDOW_S
-        nearest = int(np.abs(times - due).argmin())
-        ends.append(max(nearest, ends[-1] + 1))
-    return ends if len(ends) > 1 else [0, len(times) - 1]
+    step_s = float(np.median(np.diff(times)))
+    part_ends = [0]
+    while times[part_ends[-1]] + WINDOW_S < times[-1] + step_s / 2:
+        due_s = times[part_ends[-1]] + WINDOW_S
+        nearest = int(np.abs(times - due_s).argmin())
+        part_ends.append(max(nearest, part_ends[-1] + 1))
+    return part_ends if len(part_ends) > 1 else [0, len(times) - 1]
 
 
 def distance_um(places: Floats) -> float:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_microscope.tracks.field_file import (
-    STRONGEST,
+    STRENGTH_MAX,
     clock_remarks,
     no_field,
     read_field,
@@ -37,9 +37,9 @@ def test_other_units_are_converted(tmp_path):
 
 
 def test_strengths_are_relative_and_an_empty_one_is_the_reference_field(tmp_path):
-    rows = f"0,0,2\n1,0,\n2,0,0\n3,0,-0.5\n4,0,{STRONGEST:g}\n5,0,-{STRONGEST:g}\n"
+    rows = f"0,0,2\n1,0,\n2,0,0\n3,0,-0.5\n4,0,{STRENGTH_MAX:g}\n5,0,-{STRENGTH_MAX:g}\n"
     field = field_of(tmp_path, f"time_s,direction_rad,strength\n{rows}")
-    assert field.acts.real.tolist() == [2.0, 1.0, 0.0, -0.5, STRONGEST, -STRONGEST]
+    assert field.acts.real.tolist() == [2.0, 1.0, 0.0, -0.5, STRENGTH_MAX, -STRENGTH_MAX]
 
 
 def test_directions_of_a_clockwise_file_are_reversed_and_nothing_else(tmp_path):

@@ -100,7 +100,7 @@ def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
 
     Args:
         commanded: Turning rates of cells whose magnets lie along their axes, shape (N,) [rad/s].
-        a: The cells' greatest turning rates, shape (N,) [rad/s].
+        a: The cells' maximum turning rates, shape (N,) [rad/s].
     """
     along = commanded * math.cos(MAGNET_MAX_RAD)
     across = np.sqrt(np.maximum(np.square(a) - np.square(commanded), 0.0)) * math.sin(

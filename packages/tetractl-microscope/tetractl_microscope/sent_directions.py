@@ -30,8 +30,8 @@ GRID_S = 0.05  # time step of the analysis
 SMOOTHING_STEPS = (
     8  # steps over which a course is measured: a turn of a cell's helix takes about as long
 )
-GAP_MAX_S = 0.25  # a longer gap between two positions separates a path
-PIECE_MIN_S = 2.0  # least duration of a piece of a path
+GAP_MAX_S = 0.25  # maximum gap between two positions: a longer gap splits a path
+PIECE_MIN_S = 2.0  # minimum duration of a piece of a path
 STILL_RATE_RAD_S = 0.1  # turning rate that always counts as unexplained [rad/s]
 TURNING_STD_MIN_RAD_S = 0.3
 """Standard deviation of turning rates above which robots count as turning [rad/s]."""

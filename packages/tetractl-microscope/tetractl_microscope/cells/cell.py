@@ -57,7 +57,7 @@ def _unknown_state() -> Floats:
 class SeenCell:
     """The estimate of one tracked cell in one image.
 
-    The defaults are those of a cell that no filter tracks.
+    The default values describe a cell that no filter tracks.
 
     Attributes:
         identity: Number of the cell.
@@ -165,7 +165,7 @@ class CellAnswer:
 
 @dataclass(frozen=True, slots=True)
 class CellBirth:
-    """A cell that appears on a new track.
+    """The first appearance of a cell, on a new track.
 
     Attributes:
         identity: Number of the cell.

@@ -99,8 +99,8 @@ def repair_state(
 def _is_astray(cell_filter: HelixFilter, reading: BlobReading, body_um: float) -> bool:
     """Check whether the filter's position of a cell is too far from the cell's blob.
 
-    It is if they are more than ASTRAY_LENGTHS body lengths apart, and if the blob's position is
-    precise.
+    The position counts as wrong if it is more than ASTRAY_LENGTHS body lengths from the blob, and
+    if the blob's position is precise.
     """
     x, y, _ = reading.values
     state = cell_filter.means[reading.cell.row, :2].tolist()

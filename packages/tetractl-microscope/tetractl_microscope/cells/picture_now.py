@@ -12,10 +12,9 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.detect_cells import Blob
 
-GAP_MIN_S = 0.1  # least time without a blob that says something of an object
-GAP_PERIODS = (
-    1.5  # times between pictures for which an object has no blob if one picture is missing
-)
+GAP_MIN_S = 0.1  # minimum time without a blob that is conclusive about an object
+# Time without a blob that a single missing image explains, in times between two images.
+GAP_PERIODS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +41,9 @@ class NewestImage:
         return max(GAP_MIN_S, GAP_PERIODS * self.since_previous_s)
 
     def edge_distance_um(self, x: float, y: float) -> float:
-        """Compute the distance of a position from the image's edge [um].
+        """Compute the distance of a position from the nearest edge of the image [um].
 
-        Negative outside the image.
+        The distance is negative outside the image.
         """
         return min(x, y, self.width * self.um_px - x, self.height * self.um_px - y)
 

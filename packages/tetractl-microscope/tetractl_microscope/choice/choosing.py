@@ -80,7 +80,7 @@ def with_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Expe
     ]
     chosen = choice.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": chosen})
-    vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
+    vars(copied).pop("setup", None)  # the cached setup belongs to the placeholder robots
     return copied
 
 

@@ -33,7 +33,7 @@ class DriverStatus(IntFlag):
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
     SILENT = 4  # stopped by the watchdog
-    LIMITED = 8  # the last frame requested more than the greatest current
+    LIMITED = 8  # the last frame requested more than the maximum current
     HOT = 16  # stopped because it was too hot; latched like an emergency stop
 
 

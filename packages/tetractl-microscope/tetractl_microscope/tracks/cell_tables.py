@@ -136,7 +136,8 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     durations_s = np.array([cell["duration_s"] for cell in cells])
     since_s = np.array([cell["since_s"] for cell in cells])
     middle_s = since_s + durations_s / 2
-    after_start_s = since_s[:, None] + 1e-6  # the greatest number is reached when a cell appears
+    # the number of cells is largest just after a cell appears
+    after_start_s = since_s[:, None] + 1e-6
     is_seen = np.abs(after_start_s - middle_s) < durations_s / 2
     n_cells = int(is_seen.sum(axis=1).max())
     mean = float(np.average(values, weights=durations_s))

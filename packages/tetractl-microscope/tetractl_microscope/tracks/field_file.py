@@ -23,7 +23,7 @@ from tetractl_microscope.handedness import describe_wrong_sides, find_handedness
 from tetractl_microscope.one_recording import Span, clock_remark, refuse_times_apart
 
 STRENGTH_COLUMN = "strength"
-STRENGTH_MAX = 100.0  # greatest strength of a field, relative to the reference field
+STRENGTH_MAX = 100.0  # maximum strength of a field, relative to the reference field
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:

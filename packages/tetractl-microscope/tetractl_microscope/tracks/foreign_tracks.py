@@ -43,7 +43,7 @@ PIXELS = ("", "px", "pixel", "pixels")
 
 
 def _is_count(unit: str) -> bool:
-    """Check whether a unit is that of counts: none, or frames."""
+    """Check whether a unit means that numbers are counts: no unit, or frames."""
     return unit in ("", "frame", "frames")
 
 
@@ -103,7 +103,7 @@ class SpotTable:
     Attributes:
         rows: Array of shape (R, 4): track id, time or image index, x, y (pointing down).
         x_step: The meaning of one unit of x.
-        time: What one unit of the second column means.
+        time: The meaning of one unit of the second column.
         y_per_x: Length of one unit of y, as a multiple of one unit of x.
     """
 

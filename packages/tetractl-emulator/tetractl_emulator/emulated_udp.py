@@ -24,12 +24,12 @@ class UdpPlug(PseudoPort):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         address = parse_address(name)
-        heard = parse_listening_port(name)
-        if address is None and heard is None:
+        listening_port = parse_listening_port(name)
+        if address is None and listening_port is None:
             raise TetractlError(f"{name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
         self._number = address[1] if address else 0
         self._socket: socket.socket | None = None
-        self._sender = None if heard is None else ("127.0.0.1", heard)
+        self._sender = None if listening_port is None else ("127.0.0.1", listening_port)
         self._stalled = False
 
     def plug(self) -> None:
@@ -44,9 +44,9 @@ class UdpPlug(PseudoPort):
             self._socket.bind(("127.0.0.1", self._number))
         except OSError as error:
             self._socket.close()
-            why = f"cannot open UDP port {self._number} on 127.0.0.1: {error.strerror}"
+            message = f"cannot open UDP port {self._number} on 127.0.0.1: {error.strerror}"
             raise TetractlError(
-                why, hint="is another emulation already running on this port?"
+                message, hint="is another emulation already running on this port?"
             ) from None
         self.fd = self._socket.fileno()
 

@@ -122,7 +122,7 @@ class ActingFaults:
                 Only for kinds with a field `robot`.
         """
         faults = self._faults.get(name, ())
-        return [f for f in faults if f.robot == robot] if faults and robot else faults
+        return [fault for fault in faults if fault.robot == robot] if faults and robot else faults
 
     def newest(self, name: str, robot: str | None = None) -> Any:
         """Return the acting fault of a kind that began last.

@@ -112,13 +112,14 @@ class MovedCamera:
         """
         if not self._has_driven:
             self._start_poses = [
-                new or old for new, old in zip(frame.poses, self._start_poses, strict=True)
+                new_pose or old_pose
+                for new_pose, old_pose in zip(frame.poses, self._start_poses, strict=True)
             ]
             return frame
         times = frame.exposed_ns or (frame.sampled_ns,) * len(frame.poses)
         poses = [
-            self._displace_pose(i, t, pose)
-            for i, (t, pose) in enumerate(zip(times, frame.poses, strict=True))
+            self._displace_pose(i, exposed_ns, pose)
+            for i, (exposed_ns, pose) in enumerate(zip(times, frame.poses, strict=True))
         ]
         return replace(frame, poses=tuple(poses))
 

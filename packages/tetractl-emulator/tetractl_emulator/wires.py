@@ -44,7 +44,7 @@ class Wires:
     Attributes:
         clock: Creates the emulation's clock.
         port: Creates the device's end of a port, from the name by which programs open the port.
-        bound: Creates the device's UDP socket, bound to an address and port.
+        bound: Creates the device's UDP socket and binds it to an address and port.
         http: Whether cameras serve images over HTTP. If not, they pass images in memory.
         ports: Creates the program's end of a port. None for the default of the program's device.
         make_socket: Creates the program's UDP socket; its argument is called when data may have

@@ -323,6 +323,7 @@ def _begin_swapped_numbers(fault: Any, device: Any) -> Undo:
 
 
 OTHER_SENDER_REASONS = f"only an emergency stop|{MOTION_REASONS}|{PLACE_REASONS}"
+# fields of the fault `driven_elsewhere` in randomised test runs
 OTHER_SENDER_FIELDS = {
     "counts": two_whole_numbers(signed_value(3, 60)),
     "rate": one_of(20.0, DEFAULT_COMMAND_HZ, 100.0, 200.0),

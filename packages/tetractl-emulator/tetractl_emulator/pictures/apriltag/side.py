@@ -45,7 +45,7 @@ class Optics:
         height: Number of rows [px].
         focal_px: Focal length [px].
         position: Position of the camera [m], with z up.
-        target: Point at which it looks [m].
+        target: Point at which the camera looks [m].
         distortion: OpenCV's coefficients k1, k2, p1, p2 and, optionally, k3. Empty for none.
         blur_px: Standard deviation of the lens's Gaussian blur [px].
         exposure_s: Exposure time [s].
@@ -82,9 +82,9 @@ class Optics:
         """
         centres = np.array([tag.at for tag in floor]) * metres
         # from the centre of the largest card to its corner, rounded up [m]
-        around = 0.75 * max(tag.size_mm for tag in floor) * MM
-        low = centres.min(axis=0) - around
-        high = centres.max(axis=0) + around
+        margin_m = 0.75 * max(tag.size_mm for tag in floor) * MM
+        low = centres.min(axis=0) - margin_m
+        high = centres.max(axis=0) + margin_m
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
         x, y = ((low + high) / 2).tolist()
         camera = cls(width, height, width / VIEW, (x, y, 0.0), (x, y, 0.0))
@@ -96,16 +96,19 @@ class Optics:
         raise ValueError("the camera cannot see all floor tags in one image")
 
     def centred(self, corners: Floats) -> Self:
-        """Return a copy of this camera, turned so that points (M, 3) [m] are centred in its image.
+        """Return a copy of this camera that is turned so that points are centred in its image.
 
-        Its position stays the same, and it looks at a point of the floor.
+        The camera keeps its position, and looks at a point of the floor.
+
+        Args:
+            corners: The points [m], shape (M, 3).
         """
         camera = self
         position = np.array(self.position)
         for _ in range(8):
             pixels = camera.project(corners)
-            off = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - camera.matrix[:2, 2]
-            ray = np.append(off / camera.focal_px, 1.0) @ camera.axes
+            offset_px = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - camera.matrix[:2, 2]
+            ray = np.append(offset_px / camera.focal_px, 1.0) @ camera.axes
             x, y, _ = (
                 position - ray * position[2] / ray[2]
             ).tolist()  # where the ray meets the floor
@@ -121,9 +124,9 @@ class Optics:
 
     @property
     def axes(self) -> Floats:
-        """The directions right, down and forward of the camera in the arena's axes.
+        """The camera's directions right, down and forward in the arena's axes.
 
-        They are the rows of a rotation matrix, shape (3, 3).
+        The directions are the rows of a rotation matrix, shape (3, 3).
         """
         forward = np.subtract(self.target, self.position)
         forward /= np.linalg.norm(forward)
@@ -137,14 +140,20 @@ class Optics:
         return (in_camera[:, :2] / in_camera[:, 2:]) * self.focal_px + self.matrix[:2, 2]
 
 
-# grey levels at gain 1
 FLOOR = 150.0
+"""Grey level of the floor at gain 1."""
 WHITE = 225.0
+"""Grey level of a tag's white modules at gain 1."""
 BLACK = 25.0
-MODULE_PX = 16  # side of a tag's module in its texture [px]
-CARD = MODULES + 2  # side of a printed tag in modules, including the white margin
-FINE = 4  # sub-pixels along a pixel's side: a pixel is the mean over its area
+"""Grey level of a tag's black modules at gain 1."""
+MODULE_PX = 16
+"""Side of a tag's module in the tag's texture [px]."""
+CARD = MODULES + 2
+"""Side of a printed tag, including its white margin [modules]."""
+FINE = 4
+"""Number of sub-pixels along a pixel's side. A pixel is the mean over its area."""
 SUB_EXPOSURES = 6
+"""Number of moments over which the image of an exposure is averaged."""
 
 Shades = NDArray[np.float32]
 
@@ -198,8 +207,8 @@ class Renderer:
             if robot.tag in self.hidden:
                 continue
             corners = [self.card(robot, moment_poses, i) for moment_poses in poses]
-            still = np.ptp(corners, axis=0).max() < 0.05
-            self._stamp(canvas, texture(robot.tag), corners[:1] if still else corners)
+            is_still = np.ptp(corners, axis=0).max() < 0.05
+            self._stamp(canvas, texture(robot.tag), corners[:1] if is_still else corners)
         for stray in self.strays:
             self._lay(canvas, stray)
         return self._finished(canvas)
@@ -232,14 +241,11 @@ class Renderer:
         square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
         cos = math.cos(heading)
         sin = math.sin(heading)
-        flat = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(position)
-        return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
+        corners_m = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(position)
+        return self.optics.project(np.column_stack([corners_m, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
-        """Return the image of the floor with its tags.
-
-        It is drawn again if `hidden` has changed.
-        """
+        """Return the image of the floor with its tags. It is redrawn if `hidden` has changed."""
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
             light = np.linspace(0.92, 1.06, self.optics.width)  # brighter on one side
@@ -271,15 +277,15 @@ class Renderer:
         side = len(texture)
         source = np.array([(0, 0), (side, 0), (side, side), (0, side)], np.float32) - 0.5
         ink = np.zeros((down, across, 2), np.float32)
-        for exposed in exposures:
-            fine = (exposed - low + 0.5) * FINE - 0.5
-            turn = cv2.getPerspectiveTransform(source, fine.astype(np.float32))
-            drawn = cv2.warpPerspective(texture, turn, (across * FINE, down * FINE))
+        for exposed_corners in exposures:
+            fine_corners = (exposed_corners - low + 0.5) * FINE - 0.5
+            transform = cv2.getPerspectiveTransform(source, fine_corners.astype(np.float32))
+            drawn = cv2.warpPerspective(texture, transform, (across * FINE, down * FINE))
             ink += cv2.resize(drawn, (across, down), interpolation=cv2.INTER_AREA)
         ink /= len(exposures)
-        part = canvas[low[1] : high[1], low[0] : high[0]]
-        part *= 1 - ink[..., 1]
-        part += ink[..., 0]
+        region = canvas[low[1] : high[1], low[0] : high[0]]
+        region *= 1 - ink[..., 1]
+        region += ink[..., 0]
 
     def _finished(self, canvas: Shades) -> Grey:
         """Apply distortion, blur, noise and gain to an image, and round it to grey levels.
@@ -302,14 +308,14 @@ class Renderer:
         return draw((self.optics.height + SPARE_PX, self.optics.width + SPARE_PX), np.float32)
 
     def _grain(self, height: int, width: int) -> Shades:
-        """Return standard normal noise (height, width), a random part of a larger array.
+        """Sample standard normal noise, shape (height, width), as a part of a larger array.
 
         The part differs from the part for the previous image, because a real camera never sends
         exactly the same image of stationary robots twice.
         """
         self._pictures += 1
-        draw = np.random.default_rng((self.seed, self._pictures))
-        x, y = draw.integers(0, SPARE_PX, 2).tolist()
+        random_generator = np.random.default_rng((self.seed, self._pictures))
+        x, y = random_generator.integers(0, SPARE_PX, 2).tolist()
         if (x, y) == self._corner:
             x = (x + 1) % SPARE_PX
         self._corner = x, y
@@ -317,9 +323,9 @@ class Renderer:
 
     @cached_property
     def _bent(self) -> tuple[Shades, Shades]:
-        """Position in the undistorted image for each pixel of the distorted image.
+        """Position in the undistorted image of each pixel of the distorted image.
 
-        The result is the columns and the rows, two arrays (height, width).
+        The two arrays, each of shape (height, width), contain the columns and the rows [px].
         """
         optics = self.optics
         rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
@@ -332,7 +338,10 @@ class Renderer:
 
 @cache
 def texture(number: int) -> Shades:
-    """Draw a tag's card.
+    """Draw the printed card of a tag.
+
+    Args:
+        number: Number of the tag.
 
     Returns:
         The grey level and a coverage of 1 at each pixel, shape (side, side, 2).
@@ -386,8 +395,10 @@ class EmulatedAprilTag(StreamedCamera):
 
     def _scene(self) -> Floats:
         """Return x, y [length unit] and heading [rad] of each robot, shape (N, 3)."""
-        mm = self._stage.mm
-        return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
+        unit_mm = self._stage.mm
+        return np.array(
+            [(body.x / unit_mm, body.y / unit_mm, body.heading) for body in self._bodies]
+        )
 
     def _draw(self, exposed_ns: int) -> Grey:
         """Render the image of an exposure at a time [ns].

@@ -20,25 +20,29 @@ from tetractl_emulator.pictures.stream_side import SPARE_PX
 
 Shades = NDArray[np.float32]
 
-TAPER_FRACTION = 0.2  # fraction by which the front is narrower than the middle
+TAPER_FRACTION = 0.2
+"""Fraction by which the front of a cell is narrower than its middle."""
 SUB_EXPOSURES = 4
-LENS_PX = 0.6  # blur of a cell in focus
-BLUR_PER_DEFOCUS = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
+"""Number of moments over which the image of an exposure is averaged."""
+LENS_PX = 0.6
+"""Blur of a cell in focus [px]."""
+BLUR_PER_DEFOCUS = 0.1
+"""Blur [um] per defocus [um]. It corresponds to a numerical aperture of about 0.1."""
 
 
 @dataclass(frozen=True, slots=True)
 class RenderedSpeck:
-    """Debris or a bubble: an ellipse in the image.
+    """A piece of debris or a bubble: an ellipse in the image.
 
     Attributes:
-        x: x of its centre [um].
-        y: y of its centre [um].
-        size_um: Its width [um].
-        stretch: Its length, as a multiple of its width.
-        turn: Angle of its long axis [rad].
-        shade: Its contrast, as a multiple of a cell's contrast.
-        drift: Its velocity [um/s].
-        rim: Whether it has a bright rim.
+        x: x of the centre [um].
+        y: y of the centre [um].
+        size_um: Width [um].
+        stretch: Length, as a multiple of the width.
+        turn: Angle of the long axis [rad].
+        shade: Contrast, as a multiple of a cell's contrast.
+        drift: Velocity [um/s].
+        rim: Whether the speck has a bright rim, like a bubble.
     """
 
     x: float
@@ -140,11 +144,14 @@ class PictureLook:
 
 
 class DishPainter:
-    """Draws images of a dish.
+    """Draws images of a dish with cells and specks.
 
     Args:
         look: Properties of the images.
         seed: Seed of the noise.
+
+    Attributes:
+        look: Properties of the images.
     """
 
     def __init__(self, look: PictureLook, seed: int = 0) -> None:
@@ -207,7 +214,7 @@ class DishPainter:
         return self._light_map
 
     def _sample_noise(self) -> Shades:
-        """Return noise (height, width) [grey levels], a random part of a larger array."""
+        """Sample noise, shape (height, width) [grey levels], as a part of a larger array."""
         if self._noise is None:
             size = self.look.height + SPARE_PX, self.look.width + SPARE_PX
             self._noise = self._random.normal(0, self.look.noise, size).astype(np.float32)
@@ -261,10 +268,7 @@ class DishPainter:
         return (slice(top, bottom), slice(left, right)), right_px[None, :], up_px[:, None]
 
     def _draw_speck(self, ink: Shades, speck: RenderedSpeck) -> None:
-        """Add a speck or a bubble to `ink`, an image of floats.
-
-        A speck outside the image is left out.
-        """
+        """Add a speck or a bubble to `ink`, an image of floats. Nothing is added outside it."""
         half_width_px = speck.size_um / 2 / self.look.um_px
         patch = self._region_around(speck.x, speck.y, half_width_px * speck.stretch + 4)
         if patch is None:
@@ -283,9 +287,9 @@ class DishPainter:
         )
 
     def _draw_cell(self, ink: Shades, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
-        """Add the cell with index `i` to `ink`, averaged over its bodies in `moments`.
+        """Add the cell with index `i` to the image `ink`, averaged over its bodies in `moments`.
 
-        A cell outside the image is left out.
+        Nothing is added if the cell is outside the image.
         """
         scale = self.look.um_px
         middle = moments[len(moments) // 2]

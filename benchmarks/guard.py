@@ -225,11 +225,11 @@ def print_alarms(first: int, trials: int, rate_hz: float) -> None:
 
     def look() -> None:
         nonlocal peak
-        peak = max(peak, labs[-1].plant.rig.loop.guard.drift.worst)
+        peak = max(peak, labs[-1].plant.rig.loop.guard.drift.worst_statistic)
 
     for trial in range(first, first + trials):
         result = trial_of(watch, trial, rate_hz)
-        refusals = labs[-1].plant.rig.loop.guard.refusals
+        refusals = labs[-1].plant.rig.loop.guard.refusal_count
         ending = "complete" if result.outcome.complete else _first_match(ENDINGS, result.reason)
         endings[ending] += 1
         if refusals or not result.outcome.complete:

@@ -7,7 +7,7 @@ from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 
 ANY_BYTES = st.binary(max_size=100) | st.binary(min_size=1, max_size=78).map(
-    lambda body: cobs.frame_with_crc(body)[:-1]
+    lambda body: cobs.encode_with_crc(body)[:-1]
 )
 
 

@@ -18,7 +18,13 @@ from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee import api_frames as xbee
-from tetractl.lab.actuators.xbee.api_frames import CONTENT_MAX, Decoder, answered, encode, received
+from tetractl.lab.actuators.xbee.api_frames import (
+    CONTENT_BYTES_MAX,
+    Decoder,
+    answered,
+    encode,
+    received,
+)
 from tetractl.lab.cobs import Flag
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
@@ -149,19 +155,19 @@ def serial(data: bytes) -> None:
     read_size = data[0] % 64 + 1 if data else 2
     stuff = data[1:]
     decoder = Decoder()
-    splitter = cobs.Splitter()
+    splitter = cobs.FrameSplitter()
     for start in range(0, len(stuff), read_size):
         piece = stuff[start : start + read_size]
         for content in decoder.feed(piece):
             assert Decoder().feed(encode(content)) == [content]
             received(content)
             answered(content)
-        assert len(decoder._raw) <= 2 * (CONTENT_MAX + 3) + 1
+        assert len(decoder._raw_bytes) <= 2 * (CONTENT_BYTES_MAX + 3) + 1
         for frame in splitter.feed(piece):
             for decode in (broadcast.decode_reply, broadcast.decode_command):
                 with only(WireError):
                     decode(frame)
-        assert len(splitter._buffer) <= cobs.FRAME_MAX + 1
+        assert len(splitter._buffer) <= cobs.PAYLOAD_BYTES_MAX + 1
     assert decoder.dropped_bytes <= len(stuff)
 
 

@@ -11,18 +11,18 @@ commands, in standard deviations. Three explanations are compared. The smaller t
     the radio:    all follow their commands later,     sum of |z_j|^2 with delayed commands
 
 G_j g is the motion of pose j if the image moves at g, in units of LIKELY_RATES. The camera or the
-radio is named only if its sum is smaller than the sum for one robot by CLEAR. The radio has to meet
-two more conditions. Its value must be below CLEAR for each robot, because a robot that is carried
-moves in a way that was never commanded. And it must be better than usual delays, because the other
-robots are also late. For the camera, motion is compared as in `drift_check`. For the radio,
-commands are integrated with each delay up to LATEST_NS, and the explanation by one robot may use
-any delay up to `limits.delay`.
+radio is named only if its sum is smaller than the sum for one robot by CLEAR_DIFFERENCE. The radio
+has to meet two more conditions. Its value must be below CLEAR_DIFFERENCE for each robot, because a
+robot that is carried moves in a way that was never commanded. And it must be better than usual
+delays, because the other robots are also late. For the camera, motion is compared as in
+`drift_check`. For the radio, commands are integrated with each delay up to DELAY_MAX_NS, and the
+explanation by one robot may use any delay up to `limits.delay`.
 
 Robots i and j have swapped numbers or bodies if each moves as the other is commanded. This is
-assumed if |z_i|^2 + |z_j|^2 is below CLEAR with swapped commands, and larger by CLEAR with their
-own. Each motion may have any delay up to `limits.delay`. The program does not test whether only i
-moves as j is commanded, because a push of a few millimetres explains that as well. Lengths are in
-mm.
+assumed if |z_i|^2 + |z_j|^2 is below CLEAR_DIFFERENCE with swapped commands, and larger by
+CLEAR_DIFFERENCE with their own. Each motion may have any delay up to `limits.delay`. The program
+does not test whether only i moves as j is commanded, because a push of a few millimetres explains
+that as well. Lengths are in mm.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, CameraFrame, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
-from tetractl.lab.frames import AcceptedFrame, TimedPose, as_shown, timed_poses
+from tetractl.lab.frames import AcceptedFrame, TimedPose, accept_all_poses, collect_timed_poses
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import AS_NO_COMMAND, DOES_NOT_MOVE
 
@@ -44,7 +44,7 @@ DELAY_MAX_NS = SECOND
 """Maximum delay that is assumed for a slow radio [ns]."""
 LIKELY_RATES = np.array([100.0, 100.0, 0.1, 0.1])
 """Standard deviations of the image's shift, turn and growth [mm/s, mm/s, rad/s, 1/s]."""
-MISFIT_NOISE = np.array([2.0, 2.0, 0.02])
+POSE_DIFFERENCE_STD = np.array([2.0, 2.0, 0.02])
 """Standard deviation of a difference of poses: along, across, around the heading [mm, mm, rad]."""
 MOTION_ERROR = np.array([0.08, 0.04, 0.1])
 """Additional error of a commanded motion, as a fraction of it: along, across, around."""
@@ -72,7 +72,7 @@ class AbortCause:
     def __init__(self, rules: GuardRules, drift: DriftCheck, frames: Sequence[CameraFrame]) -> None:
         self._rules = rules
         self._drift = drift
-        self._frames = [as_shown(frame) for frame in frames]
+        self._frames = [accept_all_poses(frame) for frame in frames]
         self._usual_delays = round(rules.limits.delay * SECOND) // STEP_NS
 
     def explain(self, suspect: int, reason: str) -> str:
@@ -91,13 +91,13 @@ class AbortCause:
             fewer than two robots were tracked throughout.
         """
         end_poses = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
-        robots = [i for i, ends in enumerate(end_poses) if None not in ends]
+        robots = [i for i, first_and_last in enumerate(end_poses) if None not in first_and_last]
         if len(robots) < 2 or suspect not in robots or DOES_NOT_MOVE in reason:
             return ""
         if AS_NO_COMMAND in reason:
-            swapped = self._explain_by_swapped_numbers(suspect, robots)
-            if swapped:
-                return swapped
+            message = self._explain_by_swapped_numbers(suspect, robots)
+            if message:
+                return message
         return self._explain_by_common_cause(suspect, robots)
 
     def _explain_by_common_cause(self, suspect: int, robots: Sequence[int]) -> str:
@@ -120,16 +120,19 @@ class AbortCause:
 
         The message is empty if there is none.
         """
-        as_own = dict(zip(robots, self._compute_misfits(robots, robots), strict=True))
+        misfit_by_robot = dict(zip(robots, self._compute_misfits(robots, robots), strict=True))
         for robot in robots:
             if robot == suspect:
                 continue
-            exchanged = sum(self._compute_misfits([suspect, robot], [robot, suspect]))
-            if exchanged < min(
-                CLEAR_DIFFERENCE, as_own[suspect] + as_own[robot] - CLEAR_DIFFERENCE
+            swapped_misfit = sum(self._compute_misfits([suspect, robot], [robot, suspect]))
+            if swapped_misfit < min(
+                CLEAR_DIFFERENCE,
+                misfit_by_robot[suspect] + misfit_by_robot[robot] - CLEAR_DIFFERENCE,
             ):
-                first, second = sorted((suspect, robot))
-                return NUMBERS_SWAPPED.format(self._rules.names[first], self._rules.names[second])
+                lower_index, higher_index = sorted((suspect, robot))
+                return NUMBERS_SWAPPED.format(
+                    self._rules.names[lower_index], self._rules.names[higher_index]
+                )
         return ""
 
     def _compute_misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
@@ -146,16 +149,21 @@ class AbortCause:
         Returns:
             The sum of squared residuals under each explanation. The smaller one fits better.
         """
-        fits = [
+        residuals_and_regressors = [
             self._drift.compute_residual(i, select_spaced_poses(self._frames, i)) for i in robots
         ]
-        residuals = np.array([residual for residual, _ in fits])
-        regressors = np.vstack([picture for _, picture in fits]) * LIKELY_RATES
-        stacked = residuals.ravel()
-        image_motion = np.linalg.solve(
-            regressors.T @ regressors + np.eye(4), regressors.T @ stacked
+        residuals = np.array([residual for residual, _ in residuals_and_regressors])
+        regressors = (
+            np.vstack([image_regressor for _, image_regressor in residuals_and_regressors])
+            * LIKELY_RATES
         )
-        camera = ((stacked - regressors @ image_motion) ** 2).sum() + image_motion @ image_motion
+        stacked_residuals = residuals.ravel()
+        image_motion = np.linalg.solve(
+            regressors.T @ regressors + np.eye(4), regressors.T @ stacked_residuals
+        )
+        camera = (
+            (stacked_residuals - regressors @ image_motion) ** 2
+        ).sum() + image_motion @ image_motion
         return camera, (residuals[is_other] ** 2).sum()
 
     def _compare_with_radio(
@@ -167,16 +175,16 @@ class AbortCause:
             The sum of squares under each explanation, and the delay of the radio that fits best
             [ns].
         """
-        usual_delays = self._usual_delays
-        delays = max(DELAY_MAX_NS // STEP_NS, usual_delays + 1)
-        squares = self._compute_squares_by_delay(robots, robots, delays)
+        n_usual_delays = self._usual_delays
+        n_delays = max(DELAY_MAX_NS // STEP_NS, n_usual_delays + 1)
+        squares = self._compute_squares_by_delay(robots, robots, n_delays)
         radio = squares.sum(axis=1)
-        delay = usual_delays + int(radio[usual_delays:].argmin())
-        one_robot = squares[:usual_delays, is_other].sum(axis=1).min()
+        delay = n_usual_delays + int(radio[n_usual_delays:].argmin())
+        one_robot = squares[:n_usual_delays, is_other].sum(axis=1).min()
         return radio[delay], one_robot, delay * STEP_NS
 
     def _compute_squares_by_delay(
-        self, robots: Sequence[int], commanded: Sequence[int], delays: int
+        self, robots: Sequence[int], commanded: Sequence[int], n_delays: int
     ) -> Floats:
         """Compute |z|^2 of robots for the commands of the robots `commanded`, at several delays.
 
@@ -185,29 +193,29 @@ class AbortCause:
         """
         first_poses = self._stack_poses(self._frames[0].poses, robots)
         last_poses = self._stack_poses(self._frames[-1].poses, robots)
-        ended_ns = {i: self._frames[-1].exposed(i) for i in robots}
-        spans_ns = [ended_ns[i] - self._frames[0].exposed(i) for i in robots]
+        end_ns_by_robot = {i: self._frames[-1].pose_time_ns(i) for i in robots}
+        spans_ns = [end_ns_by_robot[i] - self._frames[0].pose_time_ns(i) for i in robots]
         # steps between each robot's own two poses
         own_steps = np.array([max(1, round(span_ns / STEP_NS)) for span_ns in spans_ns])
         steps_max = int(own_steps.max())
         is_own_step = (np.arange(steps_max)[:, None] < own_steps)[:, None]
         # speeds and turning rates (T, 2, N) in steps before each end, the newest first
         commands = self._drift.commands
-        sent_before: dict[int, Floats] = {}
-        for end_ns in set(ended_ns.values()):
+        rates_by_end_ns: dict[int, Floats] = {}
+        for end_ns in set(end_ns_by_robot.values()):
             rates = [
                 commands.compute_mean(end_ns - k * STEP_NS, STEP_NS)
-                for k in range(delays + steps_max)
+                for k in range(n_delays + steps_max)
             ]
-            sent_before[end_ns] = np.array(rates)
+            rates_by_end_ns[end_ns] = np.array(rates)
         columns = [
-            sent_before[ended_ns[i]][:, :, column]
+            rates_by_end_ns[end_ns_by_robot[i]][:, :, column]
             for i, column in zip(robots, commanded, strict=True)
         ]
         commanded_motion = np.stack(columns, axis=-1)
         commanded_motion *= STEP_NS / SECOND
         squares: list[Floats] = []
-        for delay in range(delays):
+        for delay in range(n_delays):
             newest_first = commanded_motion[delay : delay + steps_max] * is_own_step
             squares.append(compute_squares(first_poses, last_poses, newest_first[::-1]))
         return np.array(squares)
@@ -218,15 +226,15 @@ class AbortCause:
         for i in robots:
             pose = poses[i]
             if pose is not None:
-                mm = self._rules.mm
-                pose_rows.append((pose.x * mm, pose.y * mm, pose.heading))
+                mm_per_unit = self._rules.mm_per_unit
+                pose_rows.append((pose.x * mm_per_unit, pose.y * mm_per_unit, pose.heading))
         return np.array(pose_rows)
 
 
 def select_spaced_poses(frames: Sequence[AcceptedFrame], robot: int) -> list[TimedPose]:
     """Select poses of robot i that are at least BLOCK_NS apart, the first pose included."""
     selected: list[TimedPose] = []
-    for timed in timed_poses(frames, robot):
+    for timed in collect_timed_poses(frames, robot):
         if not selected or timed.exposed_ns - selected[-1].exposed_ns >= BLOCK_NS:
             selected.append(timed)
     return selected
@@ -244,14 +252,14 @@ def compute_squares(first_poses: Floats, last_poses: Floats, commanded: Floats) 
     turns = commanded[:, 1]
     distance = distances.sum(0)
     headings = first_poses[:, 2] + np.cumsum(turns, axis=0) - turns / 2
-    moved = last_poses - first_poses
-    dx = moved[:, 0] - (distances * np.cos(headings)).sum(0)
-    dy = moved[:, 1] - (distances * np.sin(headings)).sum(0)
-    around = moved[:, 2] - turns.sum(0)
+    measured_motion = last_poses - first_poses
+    dx = measured_motion[:, 0] - (distances * np.cos(headings)).sum(0)
+    dy = measured_motion[:, 1] - (distances * np.sin(headings)).sum(0)
+    turn_difference = measured_motion[:, 2] - turns.sum(0)
     cos = np.cos(last_poses[:, 2])
     sin = np.sin(last_poses[:, 2])
     difference = np.column_stack(
-        [cos * dx + sin * dy, cos * dy - sin * dx, np.angle(np.exp(1j * around))]
+        [cos * dx + sin * dy, cos * dy - sin * dx, np.angle(np.exp(1j * turn_difference))]
     )
     size = np.column_stack([distance, distance, abs(turns).sum(0)])
-    return ((difference / (MISFIT_NOISE + MOTION_ERROR * size)) ** 2).sum(axis=1)
+    return ((difference / (POSE_DIFFERENCE_STD + MOTION_ERROR * size)) ** 2).sum(axis=1)

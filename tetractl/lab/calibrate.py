@@ -33,7 +33,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.wheeled_section import CalibratedSection, Found, FoundWheel
-from tetractl.lab.frames import AcceptedFrame, TimedPose, timed_poses
+from tetractl.lab.frames import AcceptedFrame, TimedPose, collect_timed_poses
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import LabLimits, LabSection, Measured
@@ -88,8 +88,14 @@ UNKNOWN_WHEEL_ERROR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenPath:
-    """A steady motion: turning rate [rad/s], and speeds along and left of the heading [mm/s]."""
+class SteadyMotion:
+    """A steady motion of a robot, fitted to its poses.
+
+    Attributes:
+        turning: Turning rate [rad/s], positive anticlockwise.
+        along: Speed along the heading [mm/s].
+        across: Speed to the left of the heading [mm/s].
+    """
 
     turning: float
     along: float
@@ -102,18 +108,20 @@ class Channel:
 
     An output above the dead zone turns the robot at the rate sign * k * (output - dead_zone)
     [rad/s], anticlockwise if positive.
+
+    Attributes:
+        sign: Direction of turning for positive outputs: 1 for anticlockwise, -1 for clockwise.
+        k: Turning rate per output above the dead zone [rad/s].
+        dead_zone: Maximum output at which the wheel does not turn.
     """
 
     sign: int
     k: float
     dead_zone: int
 
-    def output(self, turning: float) -> int:
-        """Return the absolute output with which the channel turns the robot at a rate [rad/s].
-
-        `turning` is the absolute turning rate.
-        """
-        return round(turning / self.k) + self.dead_zone
+    def output(self, turning_rad_s: float) -> int:
+        """Return the absolute output that turns the robot at an absolute rate [rad/s]."""
+        return round(turning_rad_s / self.k) + self.dead_zone
 
 
 def calibrate_robots(
@@ -125,7 +133,20 @@ def calibrate_robots(
     limit: int,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure robots one after another with small motions; see `ActuatorSection.calibrate`."""
+    """Measure robots one after another with small motions; see `ActuatorSection.calibrate`.
+
+    Args:
+        section: The actuator's section of the spec.
+        lab: The lab's section of the spec.
+        make_rig: Creates the connected lab for limits and a setup with one robot.
+        setup: The constants of the experiment.
+        names: Names of the robots to measure.
+        limit: Maximum speed of the wheels, in 127ths of full speed.
+        report: Shows a line about the progress to the operator.
+
+    Returns:
+        The measured fields of the spec, with a summary of each robot.
+    """
     offsets = []
     wheels = []
     summaries = []
@@ -155,9 +176,8 @@ def calibrate_robots(
 class _CalibrationBench:
     """The set-up for the calibration of one robot: camera, actuator, and a guard.
 
-    The guard checks camera frames as it does in a run.
-
-    Call `open` first, then `measure`, and finally `close`, whatever has failed.
+    The guard checks camera frames as it does in a run. Call `open` first, then `measure`, and
+    finally `close`, whatever has failed.
     """
 
     def __init__(self, section: CalibratedSection, rig: Rig, offset: float, limit: int) -> None:
@@ -227,9 +247,9 @@ class _CalibrationBench:
         outputs = [channel.output(STRAIGHT_FRACTION * min(rates_max)) for channel in channels]
         # signs of the outputs for which the two turning rates cancel
         signs = np.array([1, -channels[0].sign * channels[1].sign])
-        straight = signs * np.array(outputs)
-        forwards = self._run(straight, STRAIGHT_S)
-        backwards = self._run(-straight, STRAIGHT_S)
+        straight_outputs = signs * np.array(outputs)
+        forwards = self._measure_motion(straight_outputs, STRAIGHT_S)
+        backwards = self._measure_motion(-straight_outputs, STRAIGHT_S)
         if forwards.along < 0:
             signs = -signs
             forwards, backwards = backwards, forwards
@@ -253,7 +273,7 @@ class _CalibrationBench:
         )
 
     def _compute_radius(
-        self, straight: DrivenPath, channels: Sequence[Channel], outputs: Sequence[int]
+        self, straight: SteadyMotion, channels: Sequence[Channel], outputs: Sequence[int]
     ) -> float:
         """Compute the distance r from a wheel to the centre [mm], from v = r (|w1| + |w2|).
 
@@ -273,7 +293,7 @@ class _CalibrationBench:
             )
         return radius_mm
 
-    def _compute_offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
+    def _compute_offset(self, forwards: SteadyMotion, backwards: SteadyMotion) -> float:
         """Compute the direction of travel in the body's frame [rad].
 
         A drift that is the same in both motions cancels. Raises AbortError beyond OFFSET_MAX_RAD.
@@ -288,7 +308,7 @@ class _CalibrationBench:
             )
         return offset
 
-    def _fit_channel(self, number: int) -> Channel:
+    def _fit_channel(self, channel: int) -> Channel:
         """Drive motor channel 0 or 1 in both directions, and fit its factor k and its dead zone.
 
         The outputs grow from motion to motion.
@@ -297,22 +317,22 @@ class _CalibrationBench:
         rates = list[float]()  # means of both directions
         for step in range(FIRST_OUTPUT, int(self.limit / self._scale) + 1, OUTPUT_STEP):
             output = round(step * self._scale)
-            rate = self._measure_rate(number, output)
+            rate = self._measure_rate(channel, output)
             if abs(rate) > TURNING_MIN_RAD_S:
                 outputs.append(output)
                 rates.append(rate)
         self._stop_and_wait()
         if len(rates) < POINTS_MIN:
             raise AbortError(
-                f"{self.name}: motor channel {number + 1} hardly turns the robot, even with "
+                f"{self.name}: motor channel {channel + 1} hardly turns the robot, even with "
                 f"an output of {self.limit}",
                 "is the battery charged, and is the motor connected? If so, raise --limit",
             )
         slope, intercept = np.polyfit(outputs, np.abs(rates), 1)
-        to_both_sides = min(rates) < 0 < max(rates)
-        if slope <= 0 or to_both_sides:
+        turns_both_ways = min(rates) < 0 < max(rates)
+        if slope <= 0 or turns_both_ways:
             raise AbortError(
-                f"{self.name}: motor channel {number + 1} does not turn the robot steadily; "
+                f"{self.name}: motor channel {channel + 1} does not turn the robot steadily; "
                 "charge the battery, and check the wheel"
             )
         dead_zone = min(self._dead_zone_max, max(0, round(-intercept / slope)))
@@ -321,54 +341,54 @@ class _CalibrationBench:
         k = float(beyond_dead_zone @ np.abs(rates) / (beyond_dead_zone @ beyond_dead_zone))
         return Channel(1 if rates[0] > 0 else -1, k, dead_zone)
 
-    def _measure_rate(self, number: int, output: int) -> float:
+    def _measure_rate(self, channel: int, output: int) -> float:
         """Measure the turning rate that an output of one channel causes [rad/s].
 
         The result is the mean of both directions of turning, so that a drift of the robot cancels.
         """
         counts = np.zeros(2, dtype=np.int64)
-        counts[number] = output
-        forwards = self._run(counts, CHANNEL_S).turning
-        backwards = self._run(-counts, CHANNEL_S).turning
+        counts[channel] = output
+        forwards = self._measure_motion(counts, CHANNEL_S).turning
+        backwards = self._measure_motion(-counts, CHANNEL_S).turning
         return (forwards - backwards) / 2
 
-    def _run(self, counts: CountArray, seconds: float) -> DrivenPath:
-        """Send outputs for a time [s], and measure the motion once the wheels have settled.
+    def _measure_motion(self, counts: CountArray, duration_s: float) -> SteadyMotion:
+        """Send outputs for a time [s], and measure the motion once the wheels turn steadily.
 
         If frames were missing, the motion is repeated, because the guard may have stopped the
         robot.
         """
         for _ in range(ATTEMPTS):
             first_count = self.rig.loop.frames.count
-            began_ns = self._hold(counts)
-            end_ns = began_ns + round((seconds + 2 * self._frames_late_s) * SECOND)
+            start_ns = self._send_outputs(counts)
+            end_ns = start_ns + round((duration_s + 2 * self._frames_late_s) * SECOND)
             remaining_s = (end_ns - self.rig.clock.now()) / SECOND
             wait_for(self.rig.clock, self._abort_if_astray, remaining_s)
             self._raise_abort()
             frames, _ = self.rig.loop.frames.since(first_count)
             self._frames_late_s = max(self._frames_late_s, _excess_delay_s(frames))
-            poses = [pose for pose in timed_poses(frames, 0) if pose.exposed_ns >= began_ns]
-            times_ns = [began_ns, *(pose.exposed_ns for pose in poses), end_ns]
+            poses = [pose for pose in collect_timed_poses(frames, 0) if pose.exposed_ns >= start_ns]
+            times_ns = [start_ns, *(pose.exposed_ns for pose in poses), end_ns]
             gap_max_ns = (GAP_S + self._frames_late_s) * SECOND
             if max(np.diff(times_ns)) <= gap_max_ns:  # none are missing
                 return _fit_steady_motion(
-                    poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm_per_unit
+                    poses, start_ns + round(SETTLED_S * SECOND), self.rig.mm_per_unit
                 )
             # drive back, so that the robot stays near its place
-            self._hold(-counts)
-            wait_for(self.rig.clock, self._abort_if_astray, seconds)
+            self._send_outputs(-counts)
+            wait_for(self.rig.clock, self._abort_if_astray, duration_s)
         raise AbortError(
             f"{self.name}: too many camera frames are missing; check the camera and the network"
         )
 
-    def _hold(self, counts: CountArray) -> int:
+    def _send_outputs(self, counts: CountArray) -> int:
         """Send outputs (2,) repeatedly, and return the time at which they are first sent [ns]."""
-        self.actuator.held = counts[:, None]
+        self.actuator.held_outputs = counts[:, None]
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
     def _stop_and_wait(self) -> None:
         """Stop the wheels, and wait until the robot stands still."""
-        self._hold(np.zeros(2, dtype=np.int64))
+        self._send_outputs(np.zeros(2, dtype=np.int64))
         self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
 
     def _abort_if_astray(self) -> bool:
@@ -401,30 +421,32 @@ def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
     """
     if len(frames) < 3:
         return 0.0
-    latency_ns = np.median([frame.frame.received_ns - frame.exposed(0) for frame in frames])
-    period_ns = np.median(np.diff([frame.exposed(0) for frame in frames]))
+    latency_ns = np.median([frame.frame.received_ns - frame.pose_time_ns(0) for frame in frames])
+    period_ns = np.median(np.diff([frame.pose_time_ns(0) for frame in frames]))
     return max(0.0, float(GAP_PERIODS * period_ns + latency_ns) / SECOND - GAP_S)
 
 
-def _fit_steady_motion(poses: Sequence[TimedPose], since_ns: int, mm: float) -> DrivenPath:
+def _fit_steady_motion(
+    poses: Sequence[TimedPose], since_ns: int, mm_per_unit: float
+) -> SteadyMotion:
     """Fit a steady motion to the poses since the time `since_ns`.
 
     The turning rate is the slope of the headings. To compute the speeds, each displacement is split
     into its parts along and across the heading in the middle of the displacement. The sums of these
-    parts are divided by the time. `mm` is the spec's length unit in millimetres.
+    parts are divided by the time. `mm_per_unit` is the spec's length unit in millimetres.
     """
-    settled = [timed for timed in poses if timed.exposed_ns >= since_ns]
-    times_s = np.array([timed.exposed_ns for timed in settled]) / SECOND
-    x = np.array([timed.pose.x for timed in settled])
-    y = np.array([timed.pose.y for timed in settled])
-    heading = np.unwrap([timed.pose.heading for timed in settled])
+    settled_poses = [timed for timed in poses if timed.exposed_ns >= since_ns]
+    times_s = np.array([timed.exposed_ns for timed in settled_poses]) / SECOND
+    x = np.array([timed.pose.x for timed in settled_poses])
+    y = np.array([timed.pose.y for timed in settled_poses])
+    heading = np.unwrap([timed.pose.heading for timed in settled_poses])
     turning = float(np.polyfit(times_s - times_s[0], heading, 1)[0])
-    middle = (heading[1:] + heading[:-1]) / 2
-    dx = np.diff(x) * mm
-    dy = np.diff(y) * mm
+    mean_headings = (heading[1:] + heading[:-1]) / 2
+    dx = np.diff(x) * mm_per_unit
+    dy = np.diff(y) * mm_per_unit
     span_s = times_s[-1] - times_s[0]
-    cos = np.cos(middle)
-    sin = np.sin(middle)
+    cos = np.cos(mean_headings)
+    sin = np.sin(mean_headings)
     along = float(np.sum(dx * cos + dy * sin) / span_s)
     across = float(np.sum(dy * cos - dx * sin) / span_s)
-    return DrivenPath(turning, along, across)
+    return SteadyMotion(turning, along, across)

@@ -94,7 +94,7 @@ class RateWindow:
             self._exposed_ns.popleft()
 
     @property
-    def hz(self) -> float | None:
+    def rate_hz(self) -> float | None:
         """The rate of the frames [Hz]. None if they span less than half a second."""
         times_ns = self._exposed_ns
         if not times_ns or times_ns[-1] - times_ns[0] < SECOND // 2:
@@ -125,17 +125,18 @@ class CameraStream:
 
     Attributes:
         newest: The newest frame. None before the first one.
-        outdated: Number of frames that arrived after the newest one, but were not exposed after it.
-        behind_ns: How much older the last of these was [ns].
-        dropped: Number of frames that came too late since the last start of a run.
+        outdated_count: Number of frames that arrived after the newest frame, but were not exposed
+            after it.
+        outdated_by_ns: How much older than the newest frame the last of these frames was [ns].
+        dropped_count: Number of frames that came too late since the last start of a run.
         damaged: Counts images or datagrams that could not be read.
     """
 
     def __init__(self) -> None:
         self.newest: CameraFrame | None = None
-        self.outdated = 0
-        self.behind_ns = 0
-        self.dropped = 0
+        self.outdated_count = 0
+        self.outdated_by_ns = 0
+        self.dropped_count = 0
         self.damaged = DamagedCount()
         self._repeated = RepeatDetector()
         self._rate = RateWindow()
@@ -164,23 +165,23 @@ class CameraStream:
         previous = self.newest
         if previous is not None:
             if exposed_ns <= previous.sampled_ns:
-                self.dropped += 1
-                self.outdated += 1
-                self.behind_ns = previous.sampled_ns - exposed_ns
+                self.dropped_count += 1
+                self.outdated_count += 1
+                self.outdated_by_ns = previous.sampled_ns - exposed_ns
                 return False
             self._repeated.add(frame, previous, was_driven)
         self.newest = frame
-        self.outdated = 0
+        self.outdated_count = 0
         self._rate.add(exposed_ns)
         return True
 
     @property
-    def slow_text(self) -> str:
-        """A hint about slow frames, to append to errors that blame a robot.
+    def slow_hint(self) -> str:
+        """A hint that frames come too slowly, to append to errors that blame a robot.
 
-        It is empty if frames come fast enough, or if their rate is not known yet.
+        The hint is empty if frames come fast enough, or if their rate is not known yet.
         """
-        rate = self._rate.hz
+        rate = self._rate.rate_hz
         if rate is None or rate >= RATE_MIN_HZ:
             return ""
         rate_text = (
@@ -191,11 +192,13 @@ class CameraStream:
     @property
     def outdated_text(self) -> str:
         """The end of a message: how much older the last outdated frame was than the newest."""
-        return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
+        return f"exposed {self.outdated_by_ns / SECOND:.2f} s before the newest frame"
 
     def describe_silence(self, silent_ns: int) -> str:
-        """Return a message that no new frame has arrived for a time, and how many came too late."""
+        """Create a message that no new frame has arrived for a time, and how many came too late."""
         message = f"no new camera frame for {silent_ns / SECOND:.2f} s"
-        if not self.outdated:
+        if not self.outdated_count:
             return message
-        return f"{message}: {self.outdated} outdated frames came, the last {self.outdated_text}"
+        return (
+            f"{message}: {self.outdated_count} outdated frames came, the last {self.outdated_text}"
+        )

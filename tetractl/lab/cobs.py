@@ -11,18 +11,24 @@ from enum import IntFlag
 
 from tetractl.core.errors import WireError
 
-FRAME_MAX = 80  # payload bytes, including the closing CRC
+PAYLOAD_BYTES_MAX = 80
+"""Maximum number of payload bytes in a frame, including the closing CRC."""
 
 
 class Flag(IntFlag):
-    """Flags of a command to a robot, which the firmware of all robots also knows."""
+    """Flags of a command to a robot or a coil driver. The firmware of the devices defines the same.
 
-    RUN = 1  # without it every robot stops, and both currents go to 0
-    EMERGENCY_STOP = 2  # a latched stop, until the device is switched off
-    POLL = 4  # the device replies
+    RUN: Without this flag, every robot stops, and both currents of a coil driver go to 0.
+    EMERGENCY_STOP: The device latches its stop until it is switched off.
+    POLL: The device replies.
+    """
+
+    RUN = 1
+    EMERGENCY_STOP = 2
+    POLL = 4
 
 
-def checked_flags(flags: int) -> Flag:
+def parse_flags(flags: int) -> Flag:
     """Convert the flag byte of a command to flags. Unknown flags are refused.
 
     Raises:
@@ -42,12 +48,14 @@ def crc16(data: bytes) -> int:
 
 
 def encode(payload: bytes) -> bytes:
-    """Encode a payload of at most `FRAME_MAX` bytes with COBS, and append the closing byte 00.
+    """Encode a payload with COBS, and append the closing byte 00.
+
+    The payload has at most PAYLOAD_BYTES_MAX bytes.
 
     Such a short payload never needs the full blocks of 254 bytes that COBS also defines.
     """
-    parts = payload.split(b"\0")
-    return b"".join(bytes([len(part) + 1]) + part for part in parts) + b"\0"
+    blocks = payload.split(b"\0")
+    return b"".join(bytes([len(block) + 1]) + block for block in blocks) + b"\0"
 
 
 def decode(frame: bytes) -> bytes:
@@ -58,29 +66,29 @@ def decode(frame: bytes) -> bytes:
     """
     if not frame or 0 in frame:
         raise WireError("not a COBS frame")
-    parts: list[bytes] = []
+    blocks: list[bytes] = []
     while frame:
         size = frame[0]
         frame = frame[1:]
         if len(frame) < size - 1:
             raise WireError("the COBS frame ends too early")
-        parts.append(frame[: size - 1])
+        blocks.append(frame[: size - 1])
         frame = frame[size - 1 :]
-    return b"\0".join(parts)
+    return b"\0".join(blocks)
 
 
-def frame_with_crc(payload: bytes) -> bytes:
+def encode_with_crc(payload: bytes) -> bytes:
     """Append the checksum (little-endian) to a payload, and encode both as a COBS frame.
 
     Raises:
         WireError: If the payload is too long for a frame.
     """
-    if len(payload) + 2 > FRAME_MAX:
+    if len(payload) + 2 > PAYLOAD_BYTES_MAX:
         raise WireError(f"{len(payload)} bytes do not fit into a frame")
     return encode(payload + crc16(payload).to_bytes(2, "little"))
 
 
-def checked_payload(frame: bytes) -> bytes:
+def decode_with_crc(frame: bytes) -> bytes:
     """Decode a COBS frame, check its checksum, and return the payload.
 
     Args:
@@ -90,7 +98,7 @@ def checked_payload(frame: bytes) -> bytes:
         WireError: If the CRC or the size is wrong.
     """
     payload = decode(frame)
-    if not 2 < len(payload) <= FRAME_MAX:
+    if not 2 < len(payload) <= PAYLOAD_BYTES_MAX:
         raise WireError(f"a frame cannot have {len(payload)} bytes")
     if crc16(payload[:-2]) != int.from_bytes(payload[-2:], "little"):
         raise WireError("wrong CRC")
@@ -108,59 +116,59 @@ def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
         WireError: If a value is outside the range of its field.
     """
     try:
-        return frame_with_crc(layout.pack(*fields))
+        return encode_with_crc(layout.pack(*fields))
     except struct.error as error:
         raise WireError(f"cannot pack {fields[1:]}: {error}") from None
 
 
-def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
+def unpack_fields(layout: struct.Struct, message_type: int, frame: bytes) -> tuple[int, ...]:
     """Decode a binary message of a known type, and return the fields after its type byte.
 
     Args:
         layout: Layout of the payload.
-        kind: The expected type.
+        message_type: The expected type.
         frame: The frame, without the closing byte 00.
 
     Raises:
         WireError: If the type or the size is different.
     """
-    payload = checked_payload(frame)
-    if len(payload) != layout.size or payload[0] != kind:
+    payload = decode_with_crc(frame)
+    if len(payload) != layout.size or payload[0] != message_type:
         raise WireError(
-            f"expected a frame of type 0x{kind:02X} with {layout.size} bytes, but received type "
-            f"0x{payload[0]:02X} with {len(payload)} bytes"
+            f"expected a frame of type 0x{message_type:02X} with {layout.size} bytes, but received "
+            f"type 0x{payload[0]:02X} with {len(payload)} bytes"
         )
     return layout.unpack(payload)[1:]
 
 
-class Splitter:
+class FrameSplitter:
     """Splits a byte stream into frames, which end with 00.
 
-    It stores at most one unfinished frame, and drops frames that are too long.
+    The splitter stores at most one unfinished frame, and drops frames that are too long.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self._skipping = False
+        self._is_skipping = False
 
     def feed(self, data: bytes) -> list[bytes]:
         """Add received bytes, and return the frames that they complete, without the closing 00."""
         frames: list[bytes] = []
-        *closed, rest = bytes(data).split(b"\0")
-        for piece in closed:
-            self._add(piece)
-            if self._buffer and not self._skipping:
+        *finished, unfinished = bytes(data).split(b"\0")
+        for chunk in finished:
+            self._add(chunk)
+            if self._buffer and not self._is_skipping:
                 frames.append(bytes(self._buffer))
             self._buffer.clear()
-            self._skipping = False
-        self._add(rest)
+            self._is_skipping = False
+        self._add(unfinished)
         return frames
 
-    def _add(self, piece: bytes) -> None:
-        if self._skipping:
+    def _add(self, chunk: bytes) -> None:
+        if self._is_skipping:
             return
-        if len(self._buffer) + len(piece) > FRAME_MAX + 1:
-            self._skipping = True
+        if len(self._buffer) + len(chunk) > PAYLOAD_BYTES_MAX + 1:
+            self._is_skipping = True
             self._buffer.clear()
         else:
-            self._buffer += piece
+            self._buffer += chunk

@@ -18,12 +18,13 @@ class HearsDirections(Protocol):
     """A camera that is notified of each transmission, to identify robots by their response."""
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Record that a common direction u [rad] was sent. None if the field was switched off.
+        """Record that a common direction was sent to all robots.
+
+        The thread of the inner loop calls this method.
 
         Args:
-            direction: The direction.
-            sent_ns: The time of sending, on the run's clock [ns]. The thread of the inner loop
-                calls this method.
+            direction: The direction u [rad]. None if the field was switched off.
+            sent_ns: The time of sending, on the run's clock [ns].
         """
         ...
 

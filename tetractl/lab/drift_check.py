@@ -92,7 +92,7 @@ class DriftColumn:
     """All unknowns that are constant over a trial."""
     velocity = slice(13, 16)
     """A constant velocity of one robot along, across and around its heading."""
-    picture = slice(16, 20)
+    image = slice(16, 20)
     """Shift, turn and growth of the whole camera image."""
     motion = slice(13, 20)
     """The columns `velocity` and `picture` together."""
@@ -154,8 +154,10 @@ class MeasuredPose:
 
 
 @dataclass(frozen=True, slots=True)
-class Changes:
-    """The part of the robots' motion that the fitted constants do not explain, since G moments.
+class UnexplainedMotion:
+    """The part of the robots' motion that the fitted constants do not explain.
+
+    It is computed for the time since each of G moments.
 
     Attributes:
         squares: Sums of products of the possible motions with themselves, shape (G, N, 7, 7).
@@ -171,40 +173,48 @@ class Changes:
 class DriftCheck(GuardCheck):
     """A check that aborts a run if robots drift in a way that their wheels cannot cause.
 
-    It uses the whole trial. `motion` adds up the motion of the N robots of `rules`. `worst` is the
-    statistic at the worst moment of the grid, and `blocks` the number of fitted blocks.
+    The check uses the whole trial.
+
+    Args:
+        rules: The rules of the guard, for N robots.
+        motion: The check that adds up the robots' motion from pose to pose.
+
+    Attributes:
+        commands: The commanded speeds [mm/s] and turning rates [rad/s].
+        worst_statistic: The statistic at the worst moment of the grid.
+        block_count: Number of fitted blocks.
     """
 
     statistical = True
 
     def __init__(self, rules: GuardRules, motion: MotionCheck) -> None:
-        robots = len(rules.names)
+        n_robots = len(rules.names)
         self._names = rules.names
-        self._mm = rules.mm
+        self._mm = rules.mm_per_unit
         self._wheel_error_max = rules.limits.wheel_error
         self._drift_max = rules.limits.drift
         self._motion = motion
-        self._radius = rules.wheel_radius * rules.mm
+        self._radius = rules.wheel_radius * rules.mm_per_unit
         # variance of a step between two poses: along, across, around
         self._pose_variance = 2 * np.square(elementwise.hypot(POSE_NOISE, rules.sight.spread))
-        self._coarse = rules.sight.coarse
-        self.commands = CommandHistory(2, robots)  # speeds [mm/s] and turning rates [rad/s]
-        self.worst = 0.0
-        self.blocks = 0
-        self._speed_max_mm_s = np.zeros(robots)  # greatest speeds commanded [mm/s]
+        self._is_coarse = rules.sight.coarse
+        self.commands = CommandHistory(2, n_robots)  # speeds [mm/s] and turning rates [rad/s]
+        self.worst_statistic = 0.0
+        self.block_count = 0
+        self._speed_max_mm_s = np.zeros(n_robots)  # greatest speeds commanded [mm/s]
         # the fit: sums of products of the columns, the constants and their covariance
-        self._sums = np.zeros((robots, DriftColumn.width, DriftColumn.width))
-        self._fit = np.zeros((robots, len(PRIOR_STD)))
-        self._covariance = np.array([np.diag(np.square(PRIOR_STD))] * robots)
+        self._sums = np.zeros((n_robots, DriftColumn.width, DriftColumn.width))
+        self._fit = np.zeros((n_robots, len(PRIOR_STD)))
+        self._covariance = np.array([np.diag(np.square(PRIOR_STD))] * n_robots)
         # the grid: `_sums` at each moment since which a change is looked for. The keys are the
         # numbers of blocks before the moments.
         self._sums_at = {0: self._sums.copy()}
         # Motion that was clipped from each robot's last block, and that its next block counts. A
         # clipped turn is not kept, because a lost packet may have caused it.
-        self._clipped_motion = np.zeros((robots, 3))
+        self._clipped_motion = np.zeros((n_robots, 3))
         # the last accepted poses of the newest frame, and their times
-        self._poses: Sequence[Pose | None] = (None,) * robots
-        self._pose_times: Sequence[int] = (0,) * robots
+        self._poses: Sequence[Pose | None] = (None,) * n_robots
+        self._pose_times: Sequence[int] = (0,) * n_robots
         self.start()
 
     # ---- observations ----
@@ -228,8 +238,8 @@ class DriftCheck(GuardCheck):
     ) -> tuple[Abort, ...]:
         """Check the motion up to a frame; see `GuardCheck.check_frame`.
 
-        Repeated poses are left out. Before a calibration, wheels may be wrong by more than STEADY.
-        Such wheels would explain any drift, so nothing is checked then.
+        Repeated poses are left out. Before a calibration, the relative error of wheels may exceed
+        STEADY_ERROR_MAX. Such wheels would explain any drift, so nothing is checked then.
         """
         poses_before = self._poses
         times_before = self._pose_times
@@ -242,23 +252,25 @@ class DriftCheck(GuardCheck):
         end_poses: list[MeasuredPose | None] = []
         for i, pose in enumerate(poses):
             # no new measurement, though it has another time
-            repeats = pose == poses_before[i] and times[i] != times_before[i] and not self._coarse
+            repeats = (
+                pose == poses_before[i] and times[i] != times_before[i] and not self._is_coarse
+            )
             if pose is None or repeats:
                 end_poses.append(None)
             else:
                 end_poses.append(MeasuredPose(pose, times[i], travelled[i]))
         if dt_ns < WATCHDOG_NS:
-            self._add_blocks(steps_between(self._block_starts, end_poses))
-            self.blocks += 1
+            self._add_blocks(pair_measured_poses(self._block_starts, end_poses))
+            self.block_count += 1
         self._block_began_ns = now_ns
         self._block_starts = end_poses
-        fault = self._fit_and_check() if self.blocks % 2 == 0 else None
-        return () if fault is None else (fault,)
+        abort = self._fit_and_check() if self.block_count % 2 == 0 else None
+        return () if abort is None else (abort,)
 
     # ---- estimates ----
 
     def predict_pose(self, i: int, pose: Pose, exposed_ns: int, ahead_ns: int) -> Pose:
-        """Predict where robot i is somewhat later, from the commands that were sent.
+        """Predict the pose of a robot a short time later, from the commands that were sent.
 
         Args:
             i: Index of the robot.
@@ -281,12 +293,12 @@ class DriftCheck(GuardCheck):
         differ, or its poses have been wrong from the start. One trial cannot show which. The
         message is empty if no robot counts.
         """
-        rate_texts = [
+        descriptions = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
             for name, rate, error in zip(self._names, *self.estimate_turning(), strict=False)
             if abs(rate) > SURE_ERRORS * error
         ]
-        return TURNS_TEXT.format(", ".join(rate_texts)) if rate_texts else ""
+        return TURNS_TEXT.format(", ".join(descriptions)) if descriptions else ""
 
     def estimate_turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Estimate how fast each robot turns off course when it drives at its highest speed.
@@ -338,9 +350,9 @@ class DriftCheck(GuardCheck):
             variance = variance + step_variance[0]
         regressors = columns[:, DriftColumn.constants]
         variance = variance + np.einsum("rp,pq,rq->r", regressors, self._covariance[i], regressors)
-        spread = np.sqrt(variance)
+        deviation = np.sqrt(variance)
         residual = columns[:, DriftColumn.residual] - np.einsum("rp,p->r", regressors, self._fit[i])
-        return residual / spread, columns[:, DriftColumn.picture] / spread[:, None]
+        return residual / deviation, columns[:, DriftColumn.image] / deviation[:, None]
 
     # ---- the fit ----
 
@@ -366,11 +378,11 @@ class DriftCheck(GuardCheck):
             Residuals and regressors, shape (K, 3, 20), and variances of the motions, shape (K, 3).
         """
         commanded = np.array([self._find_commands(block) for block in blocks])  # (K, 5, 2)
-        at_taps = commanded[:, : len(TAPS_NS)]
+        commanded_at_taps = commanded[:, : len(TAPS_NS)]
         dt_s = np.array([block.dt_ns / SECOND for block in blocks])
-        speed, turning = at_taps[:, 0].T * dt_s
+        speed, turning = commanded_at_taps[:, 0].T * dt_s
         radius = self._radius
-        delay_effects = (at_taps[:, 1:] - at_taps[:, :1]) * dt_s[:, None, None]
+        delay_effects = (commanded_at_taps[:, 1:] - commanded_at_taps[:, :1]) * dt_s[:, None, None]
         along = 0
         across = 1
         around = 2
@@ -389,22 +401,24 @@ class DriftCheck(GuardCheck):
         columns[:, around, DriftColumn.difference] = speed / radius if radius else 0.0
         columns[:, around, DriftColumn.taps_around] = delay_effects[:, :, 1]
         columns[:, :, DriftColumn.velocity] = np.eye(3) * dt_s[:, None, None]
-        columns[:, :2, DriftColumn.picture] = self._picture_moves(
+        columns[:, :2, DriftColumn.image] = self._compute_image_motion(
             [block.before for block in blocks], dt_s
         )
-        columns[:, around, DriftColumn.picture.start + 2] = dt_s
-        command_spread = np.ptp(at_taps[:, :COMPARED_DELAYS], axis=1)
+        columns[:, around, DriftColumn.image.start + 2] = dt_s
+        command_spread = np.ptp(commanded_at_taps[:, :COMPARED_DELAYS], axis=1)
         command_spread = command_spread[:, [0, 0, 1]] * dt_s[:, None]
-        older_spread = np.abs(commanded[:, COMPARED_DELAYS:] - at_taps[:, :1]).max(axis=1)
-        older_spread = older_spread[:, [0, 0, 1]] * dt_s[:, None]
+        later_command_spread = np.abs(
+            commanded[:, COMPARED_DELAYS:] - commanded_at_taps[:, :1]
+        ).max(axis=1)
+        later_command_spread = later_command_spread[:, [0, 0, 1]] * dt_s[:, None]
         variances = (
             SLIP_WALK * SLIP_WALK * dt_s[:, None]
             + (LOSS_ERROR * command_spread) ** 2
-            + (LATER_ERROR * older_spread) ** 2
+            + (LATER_ERROR * later_command_spread) ** 2
         )
         return columns, variances
 
-    def _picture_moves(self, poses: Sequence[Pose | None], dt_s: Floats) -> Floats:
+    def _compute_image_motion(self, poses: Sequence[Pose | None], dt_s: Floats) -> Floats:
         """Compute how poses seem to move if the camera's image shifts, turns and grows.
 
         Returns:
@@ -435,8 +449,8 @@ class DriftCheck(GuardCheck):
         columns /= deviations[:, :, None]
         regressors = columns[:, :, DriftColumn.constants]
         expected = product(regressors, self._fit[robots, :, None])[..., 0]
-        spread_of_fit = product(regressors, self._covariance[robots]) * regressors
-        bound = CLIP_SIGMAS * np.sqrt(1 + spread_of_fit.sum(axis=2))
+        fit_variances = product(regressors, self._covariance[robots]) * regressors
+        bound = CLIP_SIGMAS * np.sqrt(1 + fit_variances.sum(axis=2))
         residual = columns[:, :, DriftColumn.residual].copy()
         columns[:, :, DriftColumn.residual] = np.clip(residual, expected - bound, expected + bound)
         self._clipped_motion[robots, :2] = (
@@ -457,26 +471,26 @@ class DriftCheck(GuardCheck):
         self._fit = np.einsum(
             "npq,nq->np", self._covariance, sums[:, DriftColumn.constants, DriftColumn.residual]
         )
-        self.worst = 0.0
+        self.worst_statistic = 0.0
         change = self._find_worst_change()
-        if self.blocks - max(self._sums_at) >= MOMENT_SPACING:
-            self._sums_at[self.blocks] = sums.copy()
+        if self.block_count - max(self._sums_at) >= MOMENT_SPACING:
+            self._sums_at[self.block_count] = sums.copy()
             if len(self._sums_at) > MOMENTS_MAX:  # old moments are kept less densely
-                for moment in list(self._sums_at)[1 : 3 * MOMENTS_MAX // 4 : 2]:
-                    del self._sums_at[moment]
-        return change if self.worst > self._drift_max else self._check_wheels()
+                for block_count in list(self._sums_at)[1 : 3 * MOMENTS_MAX // 4 : 2]:
+                    del self._sums_at[block_count]
+        return change if self.worst_statistic > self._drift_max else self._check_wheels()
 
     # ---- changes ----
 
     def _find_worst_change(self) -> Abort | None:
         """Find the unexplained motion, and its beginning, that reduce the residuals most.
 
-        It may be the motion of one robot or of the whole image. `worst` is set to the reduction.
-        The result is None while no moment is old enough.
+        It may be the motion of one robot or of the whole image. `worst_statistic` is set to the
+        reduction. The result is None while no moment is old enough.
         """
-        youngest = self.blocks - CHANGE_BLOCKS_MIN
+        last_judged_block = self.block_count - CHANGE_BLOCKS_MIN
         sums_at_moments = [
-            sums_then for blocks, sums_then in self._sums_at.items() if blocks <= youngest
+            sums_then for blocks, sums_then in self._sums_at.items() if blocks <= last_judged_block
         ]
         if not sums_at_moments:
             return None
@@ -486,79 +500,87 @@ class DriftCheck(GuardCheck):
         )
         # what is left unexplained in all, shape (N,)
         residual_squares = sums[:, DriftColumn.residual, DriftColumn.residual] - explained
-        degrees = 3.0 * max(self.blocks, 1)
-        changes = self._compute_changes(np.array(sums_at_moments), residual_squares, degrees)
-        own_motion = slice(0, 3)
-        pulls = changes.pulls[..., own_motion]
-        own_squares = changes.squares[..., own_motion, own_motion] + np.diag(
-            INVERSE_LARGEST[own_motion]
+        n_residuals = 3.0 * max(self.block_count, 1)
+        changes = self._compute_changes(np.array(sums_at_moments), residual_squares, n_residuals)
+        own_columns = slice(0, 3)
+        pulls = changes.pulls[..., own_columns]
+        own_squares = changes.squares[..., own_columns, own_columns] + np.diag(
+            INVERSE_LARGEST[own_columns]
         )
         velocity = solve(own_squares, pulls[..., None])[..., 0]
-        gain = (pulls * velocity).sum(axis=2)  # (G, N)
-        gain /= np.maximum(1.0, (residual_squares - gain) / degrees)  # noise above that assumed
-        shift, gain_together = self._fit_image_motion(changes)
-        gain_alone = gain.max(axis=1)
-        worst = int(np.maximum(gain_alone, gain_together).argmax())
-        self.worst = float(max(gain_alone[worst], gain_together[worst]))
-        excess = Excess("drift", self.worst, self._drift_max)
-        i = int(gain[worst].argmax())
-        if gain_together[worst] > gain_alone[worst]:
-            gains = self._compute_gains(changes, worst, shift[worst])
+        gains_of_robots = (pulls * velocity).sum(axis=2)  # (G, N)
+        gains_of_robots /= np.maximum(
+            1.0, (residual_squares - gains_of_robots) / n_residuals
+        )  # noise above that assumed
+        image_motion, gain_of_image = self._fit_image_motion(changes)
+        gain_of_one_robot = gains_of_robots.max(axis=1)
+        worst_moment = int(np.maximum(gain_of_one_robot, gain_of_image).argmax())
+        self.worst_statistic = float(
+            max(gain_of_one_robot[worst_moment], gain_of_image[worst_moment])
+        )
+        excess = Excess("drift", self.worst_statistic, self._drift_max)
+        i = int(gains_of_robots[worst_moment].argmax())
+        if gain_of_image[worst_moment] > gain_of_one_robot[worst_moment]:
+            gains = self._compute_gains(changes, worst_moment, image_motion[worst_moment])
             i = int(gains.argmax())
             # the motion of the image explains the motion of the other robots as well
             if gains.sum() - gains[i] > self._drift_max / 4:
-                everybody = range(len(self._names))
-                return Abort(DRIFT_TOGETHER, tuple(everybody), excess=excess)
-        strongest = int((pulls[worst, i] * velocity[worst, i]).argmax())
-        text = f"{self._names[i]} {MOVES_UNEXPLAINED.format(PARTS[strongest])}"
-        return Abort(text, (i,), suspect=i, excess=replace(excess, robot=i))
+                all_robots = range(len(self._names))
+                return Abort(DRIFT_TOGETHER, tuple(all_robots), excess=excess)
+        strongest = int((pulls[worst_moment, i] * velocity[worst_moment, i]).argmax())
+        message = f"{self._names[i]} {MOVES_UNEXPLAINED.format(PARTS[strongest])}"
+        return Abort(message, (i,), suspect=i, excess=replace(excess, robot=i))
 
     def _compute_changes(
-        self, sums_at_moments: Floats, residual_squares: Floats, count: float
-    ) -> Changes:
+        self, sums_at_moments: Floats, residual_squares: Floats, n_residuals: float
+    ) -> UnexplainedMotion:
         """Compute the motion that the fitted constants do not explain, since some moments.
 
         Args:
             sums_at_moments: The sums of products at these moments, shape (G, N, 20, 20).
             residual_squares: Sum of each robot's remaining squared residuals, shape (N,).
-            count: Number of these residuals.
+            n_residuals: Number of these residuals.
         """
-        since = self._sums - sums_at_moments
-        cross_sums = since[..., DriftColumn.constants, DriftColumn.motion]
+        sums_since = self._sums - sums_at_moments
+        cross_sums = sums_since[..., DriftColumn.constants, DriftColumn.motion]
         explained = product(product(cross_sums.swapaxes(2, 3), self._covariance), cross_sums)
-        unexplained = since[..., DriftColumn.motion, DriftColumn.motion] - explained
+        unexplained = sums_since[..., DriftColumn.motion, DriftColumn.motion] - explained
         pulls = (
-            since[..., DriftColumn.motion, DriftColumn.residual]
+            sums_since[..., DriftColumn.motion, DriftColumn.residual]
             - product(self._fit[:, None], cross_sums)[..., 0, :]
         )
-        noise = np.maximum(1.0, residual_squares / count)[:, None]
-        return Changes(unexplained, pulls, noise)
+        noise = np.maximum(1.0, residual_squares / n_residuals)[:, None]
+        return UnexplainedMotion(unexplained, pulls, noise)
 
-    def _fit_image_motion(self, changes: Changes) -> tuple[Floats, Floats]:
+    def _fit_image_motion(self, changes: UnexplainedMotion) -> tuple[Floats, Floats]:
         """Find, for each moment, the image motion that best explains the motion of all robots.
 
         The results are the motion (G, 4) and the reduction of the residuals (G,). The reduction is
         0 if there is only one robot.
         """
-        picture = slice(3, 7)
-        total = (changes.pulls[..., picture] / changes.noise).sum(axis=1)
-        squares = (changes.squares[..., picture, picture] / changes.noise[..., None]).sum(axis=1)
-        squares = squares + np.diag(INVERSE_LARGEST[picture])
-        shift = solve(squares, total[..., None])[..., 0]
+        image_columns = slice(3, 7)
+        total_pulls = (changes.pulls[..., image_columns] / changes.noise).sum(axis=1)
+        squares = (
+            changes.squares[..., image_columns, image_columns] / changes.noise[..., None]
+        ).sum(axis=1)
+        squares = squares + np.diag(INVERSE_LARGEST[image_columns])
+        image_motion = solve(squares, total_pulls[..., None])[..., 0]
         if len(self._names) == 1:
-            return shift, np.zeros(len(shift))
-        return shift, (total * shift).sum(axis=1)
+            return image_motion, np.zeros(len(image_motion))
+        return image_motion, (total_pulls * image_motion).sum(axis=1)
 
-    def _compute_gains(self, changes: Changes, moment: int, shift: Floats) -> Floats:
+    def _compute_gains(
+        self, changes: UnexplainedMotion, moment: int, image_motion: Floats
+    ) -> Floats:
         """Compute how much a motion of the image since moment g reduces each robot's residuals.
 
         The motion has shape (4,), the result (N,).
         """
-        picture = slice(3, 7)
-        pulls = changes.pulls[moment][:, picture]
-        squares = changes.squares[moment][:, picture, picture]
-        margin = 2 * pulls - np.einsum("npq,q->np", squares, shift)
-        return np.einsum("np,p->n", margin, shift) / changes.noise[:, 0]
+        image_columns = slice(3, 7)
+        pulls = changes.pulls[moment][:, image_columns]
+        squares = changes.squares[moment][:, image_columns, image_columns]
+        margin = 2 * pulls - np.einsum("npq,q->np", squares, image_motion)
+        return np.einsum("np,p->n", margin, image_motion) / changes.noise[:, 0]
 
     # ---- wheels ----
 
@@ -582,10 +604,10 @@ class DriftCheck(GuardCheck):
         return None
 
 
-def steps_between(
+def pair_measured_poses(
     starts: Sequence[MeasuredPose | None], ends: Sequence[MeasuredPose | None]
 ) -> list[RobotStep]:
-    """Return the motions of the robots that have poses at both ends of a block of time.
+    """Compute the motion of each robot that has poses at both ends of a block of time.
 
     Args:
         starts: Poses at the beginning of the block, shape (N,).

@@ -28,17 +28,21 @@ class FrameBuffer:
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count`, oldest first, and the number of all so far.
+        """Return the frames appended after the first `count` frames, oldest first.
 
-        That number is the `count` for the next call. Frames that the buffer has dropped are left
-        out.
+        Args:
+            count: Number of frames that the caller has read already.
+
+        Returns:
+            The frames, without frames that the buffer has dropped, and the number of all frames
+            appended so far. Pass this number as `count` to the next call.
         """
         with self._lock:
             new_frames = list(islice(reversed(self._frames), max(self.count - count, 0)))
             new_frames.reverse()
             return new_frames, self.count
 
-    def last(self, span_ns: int) -> list[AcceptedFrame]:
+    def recent(self, span_ns: int) -> list[AcceptedFrame]:
         """Return the frames exposed at most `span_ns` before the newest one, oldest first."""
         with self._lock:
             frames: list[AcceptedFrame] = []

@@ -18,26 +18,26 @@ class AcceptedFrame:
     Attributes:
         frame: The frame.
         poses: Last accepted pose of each robot. None before a robot's first pose.
-        fresh: Whether each pose is from this frame. If not, the robot was untracked or its pose was
-            refused.
+        is_fresh: Whether each pose comes from this frame. If not, the robot was untracked, or its
+            pose was refused.
         exposed_ns: Time of each pose [ns], if poses have their own times. Otherwise empty.
     """
 
     frame: CameraFrame
     poses: tuple[Pose | None, ...]
-    fresh: tuple[bool, ...]
+    is_fresh: tuple[bool, ...]
     exposed_ns: tuple[int, ...] = ()
 
-    def exposed(self, i: int) -> int:
-        """Return the time at which robot i's pose was measured [ns]."""
+    def pose_time_ns(self, i: int) -> int:
+        """Return the time at which the pose of robot i was measured [ns]."""
         return self.exposed_ns[i] if self.exposed_ns else self.frame.sampled_ns
 
     def pose(self, i: int) -> Pose | None:
         """Return the pose of robot i that was accepted from this frame.
 
-        None if there is none.
+        The result is None if no pose of the robot was accepted.
         """
-        return self.poses[i] if self.fresh[i] else None
+        return self.poses[i] if self.is_fresh[i] else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,17 +53,17 @@ class TimedPose:
     pose: Pose
 
 
-def timed_poses(frames: Iterable[AcceptedFrame], i: int) -> list[TimedPose]:
-    """Return the poses of robot i that were accepted from some frames, with their times."""
+def collect_timed_poses(frames: Iterable[AcceptedFrame], i: int) -> list[TimedPose]:
+    """Collect the poses of robot i that were accepted from some frames, with their times."""
     timed: list[TimedPose] = []
     for frame in frames:
         pose = frame.pose(i)
         if pose is not None:
-            timed.append(TimedPose(frame.exposed(i), pose))
+            timed.append(TimedPose(frame.pose_time_ns(i), pose))
     return timed
 
 
-def as_shown(frame: CameraFrame) -> AcceptedFrame:
+def accept_all_poses(frame: CameraFrame) -> AcceptedFrame:
     """Wrap a camera frame as if the guard had accepted every pose in it."""
     fresh = tuple(pose is not None for pose in frame.poses)
     return AcceptedFrame(frame, frame.poses, fresh, frame.exposed_ns)

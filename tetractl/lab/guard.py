@@ -160,11 +160,18 @@ class Ruling:
 class Guard:
     """Decides, from all camera frames, which of N robots may move.
 
-    The limits come from `rules`. `checks_of` creates the list of checks for the robots; by default,
-    these are the checks for robots on wheels. Several threads may change the `state`. After an
-    abort, `reason` contains the reason. In an `emergency`, robots have to latch their stops, so
-    that they stay stopped until they are switched off and on: the operator has pressed the
-    emergency stop, or plain stops have not held the robots.
+    Args:
+        rules: The limits, and the properties of robots, arena and camera.
+        checks_of: Creates the checks for the robots. By default, the checks for robots on wheels.
+
+    Attributes:
+        state: The guard's state. Several threads may change it.
+        reason: Why the run was aborted. Empty before that.
+        excess: The value that led to the abort, and its limit. None if the reason has no number.
+        emergency: Whether robots have to latch their stops, so that they stay stopped until they
+            are switched off and on. Either the operator has pressed the emergency stop, or plain
+            stops have not held the robots.
+        refusal_count: Number of poses that were refused so far.
     """
 
     drift: DriftCheck
@@ -175,48 +182,48 @@ class Guard:
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         self.rules = rules
         self.checks_of = checks_of
-        self.refusals = 0  # number of poses that were refused so far
+        self.refusal_count = 0
         self.state = GuardState.PREFLIGHT
         self.reason = ""
-        self.excess: Excess | None = None  # the value that led to the abort, if it has a number
+        self.excess: Excess | None = None
         self.emergency = False
         self._state_lock = threading.Lock()
         self._suspect: int | None = None  # the robot that seems to be at fault for an abort
         self._stream = CameraStream()
         self._pace = ControlPace()
-        self._warnings: list[str] = []  # that no ruling has passed on yet
-        self._warned: set[str] = set()  # all that are given once only
+        self._warnings: list[str] = []  # warnings that no ruling contains yet
+        self._warned: set[str] = set()  # warnings that are given only once
         self._robots = [RobotTrack(name, rules, i) for i, name in enumerate(rules.names)]
-        of_robots = checks_of(rules)
-        self._checks = of_robots.checks
-        self.drift = of_robots.drift
-        self.together = of_robots.together
+        created_checks = checks_of(rules)
+        self._checks = created_checks.checks
+        self.drift = created_checks.drift
+        self.together = created_checks.together
 
     # ---- what others may know ----
 
     @property
-    def refused(self) -> tuple[str, ...]:
+    def refusal_reasons(self) -> tuple[str, ...]:
         """The reason why each robot's newest pose was refused (N,), or ""."""
-        return tuple(robot.decision.refused for robot in self._robots)
+        return tuple(robot.decision.refusal for robot in self._robots)
 
     @property
-    def tracks_all(self) -> bool:
+    def is_tracking_all(self) -> bool:
         """Whether every robot has a recent accepted pose, and none is lost."""
-        return all(robot.tracked for robot in self._robots)
+        return all(robot.is_tracked for robot in self._robots)
 
     def is_hidden(self, robot: int) -> bool:
-        """Check whether robot i has to stop because no pose of it was accepted for too long."""
-        return self._robots[robot].hidden
+        """Check whether a robot has to stop because no pose of it was accepted for too long."""
+        return self._robots[robot].is_hidden
 
     def refusal_excess(self, robot: int) -> Excess | None:
-        """Return the value, and its limit, that led to the refusal of a robot's newest pose.
+        """Return the value that led to the refusal of a robot's newest pose, with its limit.
 
         The result is None if the pose was not refused, or if the reason has no number.
         """
         return self._robots[robot].decision.excess
 
     @property
-    def lost(self) -> dict[int, int]:
+    def lost_robots(self) -> dict[int, int]:
         """The lost robots, as {index: time when it was last seen [ns]}.
 
         The robot that was last seen the longest time ago comes first.
@@ -226,17 +233,17 @@ class Guard:
         return {i: ns for ns, i in sorted(times_and_robots)}
 
     @property
-    def moved(self) -> dict[int, str]:
+    def pause_motions(self) -> dict[int, str]:
         """The robots that moved in a pause, as {index: how it moved}."""
-        return {i: robot.strayed for i, robot in enumerate(self._robots) if robot.strayed}
+        return {i: robot.pause_motion for i, robot in enumerate(self._robots) if robot.pause_motion}
 
     @property
-    def dropped(self) -> int:
+    def dropped_frame_count(self) -> int:
         """Number of frames dropped since the run started, because newer ones came first."""
-        return self._stream.dropped
+        return self._stream.dropped_count
 
     @property
-    def _in_run(self) -> bool:
+    def _is_in_run(self) -> bool:
         state = self.state
         return state is GuardState.RUN or state is GuardState.HOLD
 
@@ -262,10 +269,10 @@ class Guard:
         if self.state is not GuardState.READY:
             return
         self._enter(GuardState.RUN)
-        self._pace.ticked_ns = now_ns
-        self._pace.directed_ns = now_ns
-        self._pace.driven = True
-        self._stream.dropped = 0
+        self._pace.last_step_ns = now_ns
+        self._pace.last_direction_ns = now_ns
+        self._pace.has_begun = True
+        self._stream.dropped_count = 0
         for check in self._checks:
             check.start()
         for robot in self._robots:
@@ -282,7 +289,7 @@ class Guard:
 
     def end_run(self) -> None:
         """Return to `ready`: the run has ended normally and the robots are stopped."""
-        if self._in_run:
+        if self._is_in_run:
             self._enter(GuardState.READY)
 
     def abort(
@@ -312,8 +319,8 @@ class Guard:
             self._suspect = suspect
             self.state = GuardState.ABORT
         for robot in self._robots:
-            if robot.decision.refused and robot.hidden:
-                robot.ghost = robot.decision.refused
+            if robot.decision.refusal and robot.is_hidden:
+                robot.ghost_reason = robot.decision.refusal
 
     def name_cause(self, frames: FrameBuffer) -> None:
         """Find the cause of an abort, and correct its reason if the suspect is not the cause.
@@ -325,7 +332,7 @@ class Guard:
         if suspect is None:
             return
         self._suspect = None
-        recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
+        recent = [accepted.frame for accepted in frames.recent(RECENT_NS)]
         cause = AbortCause(self.rules, self.drift, recent)
         reason = cause.explain(suspect, self.reason) or self.reason
         self.reason = self._add_explanation(reason, recent[-1].received_ns)
@@ -342,34 +349,38 @@ class Guard:
             excess: The value and its limit. None if the reason has no number.
         """
         robot = self._robots[robot_index]
-        if robot.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
+        if robot.is_lost or (self.rules.may_lose_robots and self.state is GuardState.PREFLIGHT):
             return
-        others = [track for track in self._robots if track is not robot and not track.lost]
-        if not self.rules.goes_on or not others:
-            self.abort(self._add_explanation(reason, self._pace.ticked_ns or 0), excess=excess)
+        remaining_tracks = [
+            track for track in self._robots if track is not robot and not track.is_lost
+        ]
+        if not self.rules.may_lose_robots or not remaining_tracks:
+            self.abort(self._add_explanation(reason, self._pace.last_step_ns or 0), excess=excess)
             return
-        robot.lost_ns = robot.last_ns
+        robot.lost_ns = robot.last_pose_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")
 
     def replace_robot(self, robot_index: int) -> None:
-        """Continue the run with another body in place of the lost robot i."""
+        """Continue the run with another body in place of a lost robot."""
         lost_track = self._robots[robot_index]
-        seen_ns = lost_track.newest_ns  # it counts as seen now
+        seen_ns = lost_track.newest_frame_ns  # it counts as seen now
         self._robots[robot_index] = RobotTrack(
-            lost_track.name, self.rules, robot_index, last_ns=seen_ns, newest_ns=seen_ns
+            lost_track.name, self.rules, robot_index, last_pose_ns=seen_ns, newest_frame_ns=seen_ns
         )
         for check in self._checks:
             check.replace(robot_index)
 
     # ---- what controller and actuator did ----
 
-    def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Record that the controller gave a direction at `now_ns` [ns].
+    def record_direction(self, now_ns: int, ahead: bool = True) -> None:
+        """Record that the controller gave a direction.
 
-        If `ahead` is False, the robots turn on the spot instead of driving.
+        Args:
+            now_ns: When it gave the direction [ns].
+            ahead: Whether robots drive in the direction. Otherwise, they turn to it on the spot.
         """
-        self._pace.directed_ns = now_ns
-        self._pace.ahead = ahead
+        self._pace.last_direction_ns = now_ns
+        self._pace.drives_ahead = ahead
 
     def record_step(self, was_late: bool) -> None:
         """Record whether a control step missed its deadline.
@@ -377,19 +388,19 @@ class Guard:
         The run is aborted after `late_steps` late steps in a row while robots drive.
         """
         pace = self._pace
-        pace.late_steps = pace.late_steps + 1 if was_late and pace.ahead else 0
-        pace.late_ns = pace.ticked_ns if was_late else pace.late_ns
-        if pace.late_steps >= self.rules.limits.late_steps and self._in_run:
+        pace.late_steps = pace.late_steps + 1 if was_late and pace.drives_ahead else 0
+        pace.last_late_ns = pace.last_step_ns if was_late else pace.last_late_ns
+        if pace.late_steps >= self.rules.limits.late_steps and self._is_in_run:
             excess = Excess("late steps", pace.late_steps, self.rules.limits.late_steps)
             self.abort(f"{pace.late_steps} control steps in a row were late", excess=excess)
 
-    def note_transmission(
+    def record_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
         """Record that an action was transmitted to the robots.
 
         Args:
-            now_ns: When it was sent.
+            now_ns: When the action was sent [ns].
             speed: Commanded speed of each robot [length unit/s], N entries.
             turning: Commanded turning rate of each robot [rad/s], N entries.
         """
@@ -399,14 +410,14 @@ class Guard:
     # ---- each step of the inner loop: check_awake, check_frame for each new frame, decide ----
 
     def check_awake(self, now_ns: int) -> None:
-        """Abort the run if this program has decided nothing for `stream_lost`.
+        """Abort the run if this program was suspended: it has made no step for `stream_lost`.
 
-        Call this before the frames are checked that have waited in the meantime.
+        Call this method before the frames are checked that have waited in the meantime.
         """
         excess = check_program(self.rules, self._pace, now_ns)
-        if self._in_run and excess is not None:
+        if self._is_in_run and excess is not None:
             self.abort(f"this program stood still for {excess.value:.1f} s", excess=excess)
-        self._pace.ticked_ns = now_ns
+        self._pace.last_step_ns = now_ns
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame, and return it with the poses that are accepted.
@@ -421,33 +432,33 @@ class Guard:
         """
         if frame.fault:
             self.abort(frame.fault)
-        if not self._stream.add_frame(frame, self._pace.driven):
-            if self._in_run and self._stream.dropped == 1:
+        if not self._stream.add_frame(frame, self._pace.has_begun):
+            if self._is_in_run and self._stream.dropped_count == 1:
                 self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None
-        in_run = self._in_run
-        times = frame.times([robot.last_ns for robot in self._robots])
-        for robot, read_ns in zip(self._robots, times, strict=True):
+        was_in_run = self._is_in_run
+        times_ns = frame.times([robot.last_pose_ns for robot in self._robots])
+        for robot, read_ns in zip(self._robots, times_ns, strict=True):
             robot.record_times(frame.sampled_ns, read_ns, has_own_times=bool(frame.exposed_ns))
         for check in self._checks:
-            check.record_exposures(times)
-        if in_run:
+            check.record_exposures(times_ns)
+        if was_in_run:
             for robot in self._robots:
                 robot.count_absence(self.rules.limits.stale * SECOND)
-        if self.rules.goes_on:  # what a frame shows after so long may be another body
+        if self.rules.may_lose_robots:  # what a frame shows after so long may be another body
             for i, robot in enumerate(self._robots):
                 excess = check_tracking(self.rules, i, robot.untracked_ns)
                 if excess is not None:
-                    self.lose_robot(i, robot.untracked_text, excess)
-        decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(frame.poses)]
+                    self.lose_robot(i, robot.untracked_message, excess)
+        decisions = [self._decide_pose(i, pose, was_in_run) for i, pose in enumerate(frame.poses)]
         self._record_poses(decisions)
         accepted = self._combine_accepted(frame)
         for check in self._checks:
-            if self._in_run:  # up to the first abort
-                self._apply(check.check_frame(frame.sampled_ns, times, accepted.poses))
+            if self._is_in_run:  # up to the first abort
+                self._apply(check.check_frame(frame.sampled_ns, times_ns, accepted.poses))
         return accepted
 
-    def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
+    def decide(self, now_ns: int, damaged_count: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now. During a run, first look for reasons to end it.
 
         The controller's thread may end or abort a run at any time. Robots may move only if the run
@@ -455,40 +466,42 @@ class Guard:
 
         Args:
             now_ns: The present time.
-            damaged: Number of images or datagrams so far that the camera could not read.
+            damaged_count: Number of images or datagrams so far that the camera could not read.
             failure: Why the actuator cannot send any more. None if it can.
         """
         self.check_awake(now_ns)
         if failure:
             self.abort(failure)
-        self._stream.damaged.add(now_ns, damaged)
+        self._stream.damaged.add(now_ns, damaged_count)
         recently_damaged = self._stream.damaged.recent
         poses = tuple(self._predict_pose(i, robot) for i, robot in enumerate(self._robots))
-        nobody = (False,) * len(self._robots)
-        moving = nobody
+        none_move = (False,) * len(self._robots)
+        moving = none_move
         warnings: tuple[str, ...] = ()
-        if self._in_run:
+        if self._is_in_run:
             self._check_run(now_ns, recently_damaged, poses)
             warnings = tuple(self._warnings)
             self._warnings.clear()
             moving = self._find_movable(now_ns)
-        if self._in_run:
-            in_order = all(
-                robot.lost or (moves and robot.tracked)
+        if self._is_in_run:
+            all_in_order = all(
+                robot.is_lost or (moves and robot.is_tracked)
                 for robot, moves in zip(self._robots, moving, strict=True)
             )
-            self._enter(GuardState.RUN if in_order else GuardState.HOLD)
+            self._enter(GuardState.RUN if all_in_order else GuardState.HOLD)
         state = self.state
         if state is not GuardState.RUN and state is not GuardState.HOLD:
-            moving = nobody
+            moving = none_move
         return Ruling(state, moving, poses, warnings)
 
     # ---- a frame ----
 
-    def _decide_pose(self, i: int, pose: Pose | None, in_run: bool) -> PoseDecision | None:
-        """Decide whether to accept the pose of robot i in the newest frame.
+    def _decide_pose(
+        self, robot_index: int, pose: Pose | None, is_in_run: bool
+    ) -> PoseDecision | None:
+        """Decide whether to accept the pose of a robot in the newest frame.
 
-        The result is None if this was decided in an earlier frame. Only the checks remember
+        The result is None if the decision was made in an earlier frame. Only the checks remember
         anything about the pose. The first row that fits decides:
 
             there is none, or the run continues without the robot   missing
@@ -505,28 +518,33 @@ class Guard:
         it by now, the camera shows a frozen image. Then equal poses are refused until a different
         one arrives, whatever is commanded in the meantime.
         """
-        robot = self._robots[i]
+        robot = self._robots[robot_index]
         last_pose = robot.last_pose
-        if pose is None or robot.lost:
+        if pose is None or robot.is_lost:
             return MISSING
         if not robot.is_new:
             return None
-        refusal = robot.find_refusal(pose, robot.read_ns, self._pace.driven)
+        refusal = robot.find_refusal(pose, robot.newest_pose_ns, self._pace.has_begun)
         if refusal is None and self._stream.repeats:
-            refusal = Refuse(i, FRAME_REPEATS)
+            refusal = Refuse(robot_index, FRAME_REPEATS)
         if refusal is not None:
-            return PoseDecision(refused=refusal.text, excess=refusal.excess)
-        if last_pose is None or not self._pace.driven:
+            return PoseDecision(refusal=refusal.text, excess=refusal.excess)
+        if last_pose is None or not self._pace.has_begun:
             return PoseDecision(pose)
         checks = self._checks
-        if not in_run:
-            findings = [check.check_pause(i, last_pose, pose, robot.read_ns) for check in checks]
+        if not is_in_run:
+            findings = [
+                check.check_pause(robot_index, last_pose, pose, robot.newest_pose_ns)
+                for check in checks
+            ]
             return PoseDecision(pose, findings=tuple(chain(*findings)))
         repeats = pose == last_pose
-        if repeats and robot.decision.refused == POSE_REPEATS:
-            return PoseDecision(refused=POSE_REPEATS, excess=robot.decision.excess)
+        if repeats and robot.decision.refusal == POSE_REPEATS:
+            return PoseDecision(refusal=POSE_REPEATS, excess=robot.decision.excess)
         findings_by_check = [
-            check.check_repeat(i) if repeats else check.check_pose(i, last_pose, pose)
+            check.check_repeat(robot_index)
+            if repeats
+            else check.check_pose(robot_index, last_pose, pose)
             for check in checks
         ]
         findings = tuple(chain(*findings_by_check))
@@ -536,15 +554,15 @@ class Guard:
         return PoseDecision(pose, findings=findings)
 
     def _record_poses(self, decisions: Sequence[PoseDecision | None]) -> None:
-        """Apply the decisions on all robots' poses, and then the findings of the checks."""
+        """Apply the decisions on the poses of all robots, and then the findings of the checks."""
         for robot, decision in zip(self._robots, decisions, strict=True):
             if decision is None:
                 continue
             robot.decision = decision
-            if decision.refused:
-                self.refusals += 1
+            if decision.refusal:
+                self.refusal_count += 1
             if decision.accepted is not None:
-                robot.accept(decision.accepted, robot.read_ns)
+                robot.accept(decision.accepted, robot.newest_pose_ns)
         for decision in decisions:
             if decision is not None:
                 self._apply(decision.findings)
@@ -553,34 +571,34 @@ class Guard:
         """Combine a camera frame with the poses of it that the guard has accepted."""
         poses: list[Pose | None] = []
         is_fresh: list[bool] = []
-        times: list[int] = []
+        times_ns: list[int] = []
         for robot, pose in zip(self._robots, frame.poses, strict=True):
-            in_frame = pose is not None and not robot.decision.refused
+            is_in_frame = pose is not None and not robot.decision.refusal
             poses.append(robot.last_pose)
-            is_fresh.append(in_frame and not robot.lost and not robot.hidden)
-            times.append(robot.last_ns)
-        own_times = tuple(times) if frame.exposed_ns else ()
+            is_fresh.append(is_in_frame and not robot.is_lost and not robot.is_hidden)
+            times_ns.append(robot.last_pose_ns)
+        own_times = tuple(times_ns) if frame.exposed_ns else ()
         return AcceptedFrame(frame, tuple(poses), tuple(is_fresh), own_times)
 
     # ---- a tick ----
 
-    def _check_run(self, now_ns: int, damaged: int, poses: Sequence[Pose | None]) -> None:
+    def _check_run(self, now_ns: int, damaged_count: int, poses: Sequence[Pose | None]) -> None:
         """Look for a reason to end the run, in the order of the module's table.
 
         Stop at the first one.
         """
-        self._check_camera_and_controller(now_ns, damaged)
-        if self._in_run:
+        self._check_camera_and_controller(now_ns, damaged_count)
+        if self._is_in_run:
             self._check_tracking()
-        if not self._in_run:
+        if not self._is_in_run:
             return
         places = self._describe_places(poses)  # without the robots that were lost just now
         for check in self._checks:
             self._apply(check.check_places(places))
-            if not self._in_run:
+            if not self._is_in_run:
                 return
 
-    def _check_camera_and_controller(self, now_ns: int, damaged: int) -> None:
+    def _check_camera_and_controller(self, now_ns: int, damaged_count: int) -> None:
         """Abort if the camera or the controller has failed.
 
         The camera has failed if much of its data cannot be read, or if no frame has arrived for
@@ -590,9 +608,9 @@ class Guard:
         rules = self.rules
         no_direction = check_direction(rules, self._pace, now_ns)
         no_frame = check_frame_age(rules, self._stream.newest_ns, now_ns)
-        if damaged > DAMAGED_MAX:
-            excess = Excess("damaged frames", damaged, DAMAGED_MAX)
-            self.abort(f"{damaged} damaged camera frames within a second", excess=excess)
+        if damaged_count > DAMAGED_MAX:
+            excess = Excess("damaged frames", damaged_count, DAMAGED_MAX)
+            self.abort(f"{damaged_count} damaged camera frames within a second", excess=excess)
         elif no_direction is not None:
             late_text = f"{rules.limits.late_steps} control steps in a row were late"
             silence_text = f"the controller gave no direction for {no_direction.value:.1f} s"
@@ -608,51 +626,53 @@ class Guard:
         untracked for `untracked_abort`, or is seen too rarely, it is lost. A run that may lose
         robots also loses a robot that does not move.
         """
-        rarely_ns = RARELY_FACTOR * self.rules.limits.untracked_abort * SECOND
+        absence_max_ns = RARELY_FACTOR * self.rules.limits.untracked_abort * SECOND
         for i, robot in enumerate(self._robots):
-            if robot.lost:
+            if robot.is_lost:
                 continue
-            refusal = robot.decision
-            may_stand = self.rules.goes_on and refusal.refused == DOES_NOT_MOVE
-            too_long = check_tracking(self.rules, i, robot.untracked_ns)
-            rarely_seen = compare_age("tracking", robot.unseen_ns, rarely_ns, i)
-            if refusal.disobeys and robot.hidden and not may_stand:
-                reason = f"{robot.name} {refusal.refused}"
-                self.abort(reason, suspect=i, excess=refusal.excess)
-            elif too_long is not None:
-                self.lose_robot(i, robot.untracked_text, refusal.excess or too_long)
-            elif rarely_seen is not None:
-                rarely_text = (
+            decision = robot.decision
+            may_stand_still = self.rules.may_lose_robots and decision.refusal == DOES_NOT_MOVE
+            tracking_excess = check_tracking(self.rules, i, robot.untracked_ns)
+            absence_excess = compare_age("tracking", robot.unseen_ns, absence_max_ns, i)
+            if decision.disobeys and robot.is_hidden and not may_stand_still:
+                reason = f"{robot.name} {decision.refusal}"
+                self.abort(reason, suspect=i, excess=decision.excess)
+            elif tracking_excess is not None:
+                self.lose_robot(i, robot.untracked_message, decision.excess or tracking_excess)
+            elif absence_excess is not None:
+                rarely_seen_text = (
                     "is seen too rarely: too many frames are missing, or it is "
                     "missing in too many frames"
                 )
-                self.lose_robot(i, f"{robot.name} {rarely_text}", rarely_seen)
+                self.lose_robot(i, f"{robot.name} {rarely_seen_text}", absence_excess)
             if self.state is GuardState.ABORT:
                 return
 
-    def _predict_pose(self, i: int, robot: RobotTrack) -> Pose | None:
-        """Return robot i's accepted pose at the time of the newest frame.
+    def _predict_pose(self, robot_index: int, robot: RobotTrack) -> Pose | None:
+        """Return a robot's accepted pose, predicted to the time of the newest frame.
 
-        An older pose is predicted to that time with the commands that were sent. The result is None
-        if the robot is hidden or lost.
+        An older pose is predicted with the commands that were sent. The result is None if the robot
+        is hidden or lost.
         """
         pose = robot.last_pose
-        if pose is None or not robot.tracked:
+        if pose is None or not robot.is_tracked:
             return None
         newest = self._stream.newest
-        own_times = newest is not None and bool(newest.exposed_ns)
-        if not own_times or robot.untracked_ns <= 0:
+        has_own_times = newest is not None and bool(newest.exposed_ns)
+        if not has_own_times or robot.untracked_ns <= 0:
             return pose
-        return self.drift.predict_pose(i, pose, robot.last_ns, robot.untracked_ns)
+        return self.drift.predict_pose(robot_index, pose, robot.last_pose_ns, robot.untracked_ns)
 
     def _describe_places(self, poses: Sequence[Pose | None]) -> list[RobotPlace]:
         """Describe where the robots are, given their `poses` (N,) at the newest frame."""
         places: list[RobotPlace] = []
         for robot, pose, speed in zip(self._robots, poses, self.rules.speeds, strict=True):
-            stands_still = robot.lost or not self._pace.ahead
+            stands_still = robot.is_lost or not self._pace.drives_ahead
             stopping_distance = 0.0 if stands_still else speed * self.rules.limits.reaction
             places.append(
-                RobotPlace(robot.last_pose if robot.lost else pose, robot.lost, stopping_distance)
+                RobotPlace(
+                    robot.last_pose if robot.is_lost else pose, robot.is_lost, stopping_distance
+                )
             )
         return places
 
@@ -661,10 +681,10 @@ class Guard:
 
         If robots can only be stopped together, all may move or none.
         """
-        may = may_move(self.rules, self._pace, self._stream.newest_ns, now_ns)
+        any_may_move = may_move(self.rules, self._pace, self._stream.newest_ns, now_ns)
         if self.together:
-            return (may,) * len(self._robots)
-        return tuple(may and robot.tracked for robot in self._robots)
+            return (any_may_move,) * len(self._robots)
+        return tuple(any_may_move and robot.is_tracked for robot in self._robots)
 
     # ---- findings ----
 
@@ -678,7 +698,7 @@ class Guard:
                     pass  # part of the decision on a pose
                 case Moved():
                     robot = self._robots[finding.robot]
-                    robot.strayed = robot.strayed or finding.text
+                    robot.pause_motion = robot.pause_motion or finding.text
                 case Lose():
                     self.lose_robot(finding.robot, finding.text, finding.excess)
                 case Warn():
@@ -686,13 +706,13 @@ class Guard:
                 case Abort():
                     self.abort(finding.text, suspect=finding.suspect, excess=finding.excess)
                     for i in finding.false:
-                        self._robots[i].ghost = finding.text
+                        self._robots[i].ghost_reason = finding.text
 
-    def _warn_once(self, text: str) -> None:
+    def _warn_once(self, warning: str) -> None:
         """Add a warning of the guard, unless the same one was given before."""
-        if text not in self._warned:
-            self._warned.add(text)
-            self._warnings.append(text)
+        if warning not in self._warned:
+            self._warned.add(warning)
+            self._warnings.append(warning)
 
     def _add_explanation(self, reason: str, now_ns: int) -> str:
         """Extend a reason that blames a robot or the camera by another possible explanation.
@@ -700,8 +720,8 @@ class Guard:
         The explanation may be late control steps just before, or slow frames. The text then does
         not ask whether the robot was pushed.
         """
-        late_ns = self._pace.late_ns
-        if late_ns is not None and now_ns - late_ns <= COMPARED_MAX_NS:
+        last_late_ns = self._pace.last_late_ns
+        if last_late_ns is not None and now_ns - last_late_ns <= COMPARED_MAX_NS:
             return BUSY_BEFORE + reason.removesuffix(PUSHED_QUESTION)
-        slow_text = self._stream.slow_text
-        return reason.removesuffix(PUSHED_QUESTION) + slow_text if slow_text else reason
+        slow_hint = self._stream.slow_hint
+        return reason.removesuffix(PUSHED_QUESTION) + slow_hint if slow_hint else reason

@@ -43,6 +43,6 @@ ChecksOf = Callable[[GuardRules], GuardChecks]
 
 def robot_checks(rules: GuardRules) -> GuardChecks:
     """Create the checks for robots that stand still when they are stopped."""
-    motion = MotionCheck(rules, rules.largest_error, rules.limits.wheel_error)
+    motion = MotionCheck(rules, rules.position_error_max, rules.limits.wheel_error)
     drift = DriftCheck(rules, motion)
     return GuardChecks((motion, drift, PlaceCheck(rules)), drift)

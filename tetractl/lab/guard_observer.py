@@ -46,8 +46,8 @@ class Intervention:
     """One action that the guard would have taken in a run: when, why, and about which robot.
 
     Attributes:
-        t_ns: When [ns].
-        act: The action.
+        t_ns: Time of the action [ns].
+        act: What the guard would have done.
         check: Name of the check, or of the kernel's rule.
         robot: Name of the robot. Empty if the action concerns no robot, or all.
         text: The guard's reason.
@@ -88,7 +88,7 @@ class GuardObserver:
         self.interventions: list[Intervention] = []
         self.watched_ns = 0
         self._checks_of = checks_of
-        self._in_run = False
+        self._is_in_run = False
         self._watched_until_ns = 0
         self._recent_commands: deque[SentCommand] = deque()
         self._drives_ahead = True
@@ -97,38 +97,38 @@ class GuardObserver:
 
     def _replace_guard(self) -> None:
         """Continue with a new guard, which has not seen any robot yet."""
-        robots = len(self.rules.names)
+        n_robots = len(self.rules.names)
         self._guard = Guard(self.rules, self._checks_of)
         self._guard.pass_preflight()
         for command in self._recent_commands:
-            self._guard.note_transmission(command.sent_ns, command.speed, command.turning)
-        self._refused = ("",) * robots
-        self._moving = (True,) * robots
+            self._guard.record_transmission(command.sent_ns, command.speed, command.turning)
+        self._refused = ("",) * n_robots
+        self._moving = (True,) * n_robots
 
     def start_run(self, now_ns: int) -> None:
         """Begin to watch a run, unless one is watched already."""
-        if not self._in_run:
-            self._in_run = True
+        if not self._is_in_run:
+            self._is_in_run = True
             self._watched_until_ns = now_ns
             self._guard.start_run(now_ns)
 
     def end_run(self) -> None:
         """Stop watching a run, because the robots were stopped."""
-        self._in_run = False
+        self._is_in_run = False
         self._guard.end_run()
 
-    def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Record that the controller gave a direction; see `Guard.note_direction`."""
+    def record_direction(self, now_ns: int, ahead: bool = True) -> None:
+        """Record that the controller gave a direction; see `Guard.record_direction`."""
         self._directed_ns = now_ns
         self._drives_ahead = ahead
-        self._guard.note_direction(now_ns, ahead)
+        self._guard.record_direction(now_ns, ahead)
 
     def record_step(self, now_ns: int, was_late: bool) -> None:
         """Record whether a control step that ended at `now_ns` [ns] missed its deadline."""
         self._guard.record_step(was_late)
         self._record_end(now_ns)
 
-    def note_transmission(
+    def record_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
         """Record that an action was transmitted to the robots.
@@ -141,7 +141,7 @@ class GuardObserver:
         self._recent_commands.append(SentCommand(now_ns, speed, turning))
         while self._recent_commands[0].sent_ns < now_ns - REMEMBERED_NS:
             self._recent_commands.popleft()
-        self._guard.note_transmission(now_ns, speed, turning)
+        self._guard.record_transmission(now_ns, speed, turning)
 
     def replace_robot(self, robot_index: int) -> None:
         """Continue with another body in place of a lost robot."""
@@ -154,17 +154,17 @@ class GuardObserver:
         """
         self._guard.check_frame(frame)
         is_new = self._guard.state is GuardState.READY
-        if self._in_run and is_new and self._guard.tracks_all:
+        if self._is_in_run and is_new and self._guard.is_tracking_all:
             self._guard.start_run(now_ns)
-            self._guard.note_direction(self._directed_ns, self._drives_ahead)
+            self._guard.record_direction(self._directed_ns, self._drives_ahead)
             self._watched_until_ns = now_ns
-        if self._in_run:
+        if self._is_in_run:
             self._record_refusals(now_ns)
             self._record_end(now_ns)
 
     def decide(self, now_ns: int) -> None:
         """Let the guard decide at `now_ns` [ns], and record which robots it would stop."""
-        if not self._in_run or self._guard.state is GuardState.READY:
+        if not self._is_in_run or self._guard.state is GuardState.READY:
             return
         self.watched_ns += now_ns - self._watched_until_ns
         self._watched_until_ns = now_ns
@@ -174,23 +174,23 @@ class GuardObserver:
         self._record_end(now_ns)
 
     def _record_refusals(self, now_ns: int) -> None:
-        refused = self._guard.refused
-        for i, text in enumerate(refused):
-            if text and not self._refused[i]:
+        reasons = self._guard.refusal_reasons
+        for i, reason in enumerate(reasons):
+            if reason and not self._refused[i]:
                 excess = self._guard.refusal_excess(i)
                 self._add_intervention(
-                    now_ns, Action.REFUSES, i, text, excess, name_check(text, excess)
+                    now_ns, Action.REFUSES, i, reason, excess, name_check(reason, excess)
                 )
-        self._refused = refused
+        self._refused = reasons
 
     def _record_stops(self, now_ns: int, ruling: Ruling) -> None:
         for i, moves in enumerate(ruling.moving):
-            if self._moving[i] and not moves and i not in self._guard.lost:
-                text = self._refused[i]
-                if text:
+            if self._moving[i] and not moves and i not in self._guard.lost_robots:
+                reason = self._refused[i]
+                if reason:
                     excess = self._guard.refusal_excess(i)
                     self._add_intervention(
-                        now_ns, Action.STOPS, i, text, excess, name_check(text, excess)
+                        now_ns, Action.STOPS, i, reason, excess, name_check(reason, excess)
                     )
                 elif self._guard.is_hidden(i):
                     self._add_intervention(
@@ -216,17 +216,17 @@ class GuardObserver:
     def _add_intervention(
         self,
         t_ns: int,
-        act: Action,
+        action: Action,
         robot: int | None,
-        text: str,
+        reason: str,
         excess: Excess | None,
         check: str,
     ) -> None:
         name = "" if robot is None else self.rules.names[robot]
-        self.interventions.append(Intervention(t_ns, act, check, name, text, excess))
+        self.interventions.append(Intervention(t_ns, action, check, name, reason, excess))
 
 
-def name_check(text: str, excess: Excess | None) -> str:
+def name_check(reason: str, excess: Excess | None) -> str:
     """Return the name of the guard check that gave a reason.
 
     It is the name in `excess` if there is one. Otherwise the text decides: "frozen" for a repeated
@@ -234,9 +234,9 @@ def name_check(text: str, excess: Excess | None) -> str:
     """
     if excess is not None:
         return excess.check
-    if text == FRAME_REPEATS:
+    if reason == FRAME_REPEATS:
         return "frozen"
-    return "height" if text.startswith("its body ") else "other"
+    return "height" if reason.startswith("its body ") else "other"
 
 
 # ---- in a run ----
@@ -306,8 +306,10 @@ class ObservingCheck(GuardCheck):
 
 def observe_only(checks: GuardChecks) -> GuardChecks:
     """Wrap the statistical checks of a list, so that they only observe."""
-    acting = [ObservingCheck(check) if check.statistical else check for check in checks.checks]
-    return replace(checks, checks=tuple(acting))
+    wrapped_checks = [
+        ObservingCheck(check) if check.statistical else check for check in checks.checks
+    ]
+    return replace(checks, checks=tuple(wrapped_checks))
 
 
 class ObservingGuard(Guard):
@@ -332,17 +334,17 @@ class ObservingGuard(Guard):
         super().end_run()
         self._observer.end_run()
 
-    def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Record that the controller gave a direction; see `Guard.note_direction`."""
-        super().note_direction(now_ns, ahead)
-        self._observer.note_direction(now_ns, ahead)
+    def record_direction(self, now_ns: int, ahead: bool = True) -> None:
+        """Record that the controller gave a direction; see `Guard.record_direction`."""
+        super().record_direction(now_ns, ahead)
+        self._observer.record_direction(now_ns, ahead)
 
-    def note_transmission(
+    def record_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Record a transmission; see `Guard.note_transmission`."""
-        super().note_transmission(now_ns, speed, turning)
-        self._observer.note_transmission(now_ns, speed, turning)
+        """Record a transmission; see `Guard.record_transmission`."""
+        super().record_transmission(now_ns, speed, turning)
+        self._observer.record_transmission(now_ns, speed, turning)
 
     def replace_robot(self, robot_index: int) -> None:
         """Continue with another body in place of a lost robot; see `Guard.replace_robot`."""
@@ -355,16 +357,16 @@ class ObservingGuard(Guard):
         self._observer.check_frame(frame.received_ns, frame)
         return accepted
 
-    def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
+    def decide(self, now_ns: int, damaged_count: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move, with warnings of the observer; see `Guard.decide`."""
-        ruling = super().decide(now_ns, damaged, failure)
+        ruling = super().decide(now_ns, damaged_count, failure)
         self._observer.decide(now_ns)
         interventions = self._observer.interventions[self._reported :]
         self._reported += len(interventions)
         warnings = [
-            f"observed: {describe_intervention(it)}"
-            for it in interventions
-            if it.act is Action.ENDS and it.check in STATISTICAL
+            f"observed: {describe_intervention(intervention)}"
+            for intervention in interventions
+            if intervention.act is Action.ENDS and intervention.check in STATISTICAL
         ]
         return replace(ruling, warnings=(*ruling.warnings, *warnings))
 

@@ -26,10 +26,10 @@ class GuardRules:
         arena: The arena.
         limits: The limits in the spec.
         obstacles: The obstacles, each grown by the radius of a robot's body.
-        mm: Number of millimetres per length unit.
+        mm_per_unit: Number of millimetres per length unit.
         silence_ns: Maximum time between two directions from the controller [ns].
         wheel_radius: Distance from a wheel to the centre [length unit]. 0 without wheels.
-        goes_on: Whether a run continues without a lost robot, until the last robot is lost.
+        may_lose_robots: Whether a run continues without a lost robot, until the last robot is lost.
         sight: How precisely the camera measures.
     """
 
@@ -38,15 +38,15 @@ class GuardRules:
     turning: tuple[float, ...]
     arena: Bounds
     limits: LabLimits
-    obstacles: tuple[Shape, ...] = ()  # each grown by the radius of a body
-    mm: float = 1.0
-    silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
-    wheel_radius: float = 0.0  # 0 for robots without wheels
-    goes_on: bool = False
+    obstacles: tuple[Shape, ...] = ()
+    mm_per_unit: float = 1.0
+    silence_ns: int = 2 * SECOND
+    wheel_radius: float = 0.0
+    may_lose_robots: bool = False
     sight: Sight = UNSTATED
 
     @classmethod
-    def of(cls, setup: Setup, limits: LabLimits) -> Self:
+    def from_setup(cls, setup: Setup, limits: LabLimits) -> Self:
         """Create the rules for a setup, with lengths in the spec's length unit."""
         per_mm = MM / setup.metres
         silence_s = setup.period_s * (limits.late_steps + 1)
@@ -57,14 +57,14 @@ class GuardRules:
             arena=setup.arena,
             limits=limits,
             obstacles=tuple(shape.grown(setup.body_radius) for shape in setup.obstacles),
-            mm=1 / per_mm,
+            mm_per_unit=1 / per_mm,
             silence_ns=round(max(silence_s, SILENCE_MIN_S) * SECOND),
             wheel_radius=setup.wheel_radius or 0.0,
-            goes_on=setup.loss is not None and not setup.loss.ends,
+            may_lose_robots=setup.loss is not None and not setup.loss.ends,
             sight=setup.sight,
         )
 
     @property
-    def largest_error(self) -> float:
+    def position_error_max(self) -> float:
         """The maximum error of a position that the camera measures [length unit]."""
-        return (NOISE_MM + self.sight.largest_error_mm) / self.mm
+        return (NOISE_MM + self.sight.largest_error_mm) / self.mm_per_unit

@@ -7,7 +7,7 @@ these:
     a stop                    while some of STOPS remain: after an abort, and after `stop`
     the held action           in a run: at once if it is new or a robot must stop, otherwise at the
                               actuator's rate
-    the direction of `idle`   before a run, to robots in a field that keeps turning
+    `idle_direction`          before a run, to robots in a field that keeps turning
     nothing                   otherwise
 
 What happens if something goes wrong:
@@ -20,12 +20,12 @@ What happens if something goes wrong:
                                   on other ports may receive them
     emergency stop                the guard aborts for good. Stops are sent even after an abort, in
                                   a step that fails, or while a thread hangs
-    the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S. After STOP_S,
-                                  `stop` sends stops without waiting for the thread
+    the loop's thread hangs       `hold` and `between_steps` abort after HOLD_TIMEOUT_S. After
+                                  STOP_TIMEOUT_S, `stop` sends stops without waiting for the thread
 
 Threads: the loop's own thread makes the steps. The controller's thread calls `hold`,
-`between_steps`, `stop`, `sent`, `warnings` and `restart`. A lock lets only one of them act at a
-time. Times are in ns on the run's clock.
+`between_steps`, `stop`, `take_transmissions`, `take_warnings` and `restart`. A lock lets only one
+of them act at a time. Times are in ns on the run's clock.
 """
 
 import threading
@@ -59,8 +59,8 @@ Chosen, not measured.
 STOP_TIMEOUT_S = 1.0
 """Time for which `stop` waits for the loop's step to end [s].
 
-It is longer than HOLD_S, because stops that are sent without waiting may come between the bytes of
-a step that only takes long.
+It is longer than HOLD_TIMEOUT_S, because stops that are sent without waiting may come between the
+bytes of a step that only takes long.
 """
 
 
@@ -70,7 +70,8 @@ class HeldAction:
 
     Attributes:
         action: The action.
-        moving: Which robots it allowed to move when it was sent last. None before that.
+        moving: Whether each robot was allowed to move when the action was last sent, N entries.
+            None before that.
     """
 
     action: Steer | Turn
@@ -80,7 +81,8 @@ class HeldAction:
 class InnerLoop:
     """The loop that lets a guard decide at each camera frame, and sends its decisions to robots.
 
-    Without `start`, the caller must call `step` or `step_if_due`.
+    The loop runs in its own thread after `start`. Without `start`, the caller must call `step` or
+    `step_if_due`.
 
     Args:
         camera: The camera.
@@ -91,10 +93,12 @@ class InnerLoop:
         emergency: Set by the operator for an emergency stop.
 
     Attributes:
-        frames: The accepted frames.
-        last: The last transmission of a run.
-        driven_ns: Time of the last transmission that let a robot move [ns]. 0 before that.
-        idle: Returns the direction u [rad] that is sent before robots are steered, at a time [ns].
+        guard: The guard that decides at present. `restart` replaces it.
+        frames: The camera frames that the guard has accepted.
+        last_transmission: The last transmission of a run. None before the first.
+        last_driven_ns: Time of the last transmission that let a robot move [ns]. 0 before that.
+        idle_direction: Returns the direction u [rad] that is sent before a run, at a time [ns].
+            None to send nothing.
     """
 
     def __init__(
@@ -108,9 +112,9 @@ class InnerLoop:
     ) -> None:
         self.guard = guard
         self.frames = FrameBuffer()
-        self.idle: Callable[[int], float] | None = None
-        self.last: Transmission | None = None
-        self.driven_ns = 0
+        self.idle_direction: Callable[[int], float] | None = None
+        self.last_transmission: Transmission | None = None
+        self.last_driven_ns = 0
         self._camera = camera
         self._actuator = actuator
         self._clock = clock
@@ -118,20 +122,20 @@ class InnerLoop:
         self._wake = wake
         self._emergency = emergency
         self._lock = threading.Lock()
-        self._held: HeldAction | None = None
+        self._held_action: HeldAction | None = None
         self._stops_left = 0
         """Number of stops that still have to be sent."""
         self._first_stop: Transmission | None = None
         """The first stop that was sent since `stop` was called. None before that."""
         self._abort_stops_begun = False
         """Whether the stops of the guard's abort have begun. They are sent only once."""
-        self._operator_obeyed = False
+        self._emergency_stops_begun = False
         """Whether the stops of the operator's emergency stop have begun."""
-        self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
+        self._transmissions: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._transmit_ns = 0  # when the next transmission is due
         self._step_ns = 0  # when the next step without a frame is due
-        self._closing = threading.Event()
+        self._is_closing = threading.Event()
         self._thread = threading.Thread(
             target=self._step_until_closed, name="inner loop", daemon=True
         )
@@ -141,14 +145,17 @@ class InnerLoop:
     def start(self) -> None:
         """Start the loop's thread.
 
-        Nothing is sent before `hold` or `idle` gives a direction.
+        Nothing is sent before `hold` or `idle_direction` gives a direction.
         """
         self._thread.start()
 
     def hold(self, action: Steer | Turn) -> Transmission:
-        """Send an action repeatedly, starting now, and return the first transmission.
+        """Start to send an action repeatedly, and return the first transmission.
 
-        The transmission is a stop if the guard presently lets no robot move.
+        The first transmission is a stop if the guard presently lets no robot move.
+
+        Args:
+            action: The direction to drive in, or to turn to on the spot.
 
         Raises:
             AbortError: If no robot may move any more, with the guard's reason, or if the loop
@@ -156,8 +163,8 @@ class InnerLoop:
         """
         with self.between_steps() as guard:
             guard.start_run(self._clock.now())
-            guard.note_direction(self._clock.now(), isinstance(action, Steer))
-            self._held = HeldAction(action)
+            guard.record_direction(self._clock.now(), isinstance(action, Steer))
+            self._held_action = HeldAction(action)
             transmission = self._step_safely()
             if transmission is None:
                 guard.abort("the guard lets no robot be steered")
@@ -167,9 +174,10 @@ class InnerLoop:
 
     @contextmanager
     def between_steps(self) -> Iterator[Guard]:
-        """Pause the loop during the `with` block, in which its guard's robots may be changed.
+        """Pause the loop during the `with` block, so that robots of its guard can be changed.
 
-        A step that has already read the list of robots continues with the old list.
+        The block gets the guard. A step that has already read the list of robots continues with the
+        old list.
 
         Raises:
             AbortError: If the loop stays within a step for too long.
@@ -181,9 +189,9 @@ class InnerLoop:
             yield self.guard
 
     def restart(self, rules: GuardRules) -> None:
-        """Continue with a guard that has other rules, for example for newly found robots.
+        """Continue with a new guard that has other rules, for example for newly found robots.
 
-        All frames so far are forgotten.
+        The loop forgets all frames so far.
 
         Raises:
             AbortError: If the loop stays within a step for too long.
@@ -192,32 +200,35 @@ class InnerLoop:
             self.guard = build_guard(rules, self.guard.checks_of)
             self.frames = FrameBuffer()
             self._abort_stops_begun = False  # this guard has not aborted
-            self._operator_obeyed = False
+            self._emergency_stops_begun = False
 
     def stop(self) -> Transmission | None:
-        """Send STOPS stops to every robot, STOP_GAP_NS apart, and return the first.
+        """End the run: send STOPS stops to every robot, STOP_GAP_NS apart.
 
-        It never raises. The result is None if no stop could be sent.
+        This method never raises.
+
+        Returns:
+            The first stop. None if no stop could be sent.
         """
         with self._hold_lock(STOP_TIMEOUT_S) as is_locked:
-            # without the lock, too: a step that ends after all goes on with stops
-            self._held = None
-            self.idle = None
+            # also without the lock: if the hanging step ends after all, it continues with stops
+            self._held_action = None
+            self.idle_direction = None
             self._first_stop = None
             self.guard.end_run()
             self._begin_stops(self._clock.now())
         if not is_locked:
-            return self._stop_past_thread()
+            return self._stop_without_lock()
         while self._stops_left:
             with self._hold_lock(STOP_TIMEOUT_S) as is_locked:
                 if not is_locked:
-                    return self._stop_past_thread()
+                    return self._stop_without_lock()
                 self._step_safely()
             if self._stops_left:
                 self._clock.sleep_until(self._transmit_ns)
         return self._first_stop
 
-    def _stop_past_thread(self) -> Transmission | None:
+    def _stop_without_lock(self) -> Transmission | None:
         """Send the stops without the lock, because the loop's thread hangs.
 
         Returns:
@@ -233,20 +244,20 @@ class InnerLoop:
             self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
         return first_stop
 
-    def sent(self) -> list[Transmission]:
-        """Return what was transmitted to the robots since the last call, oldest first."""
-        return drained(self._sent)
+    def take_transmissions(self) -> list[Transmission]:
+        """Return the transmissions to the robots since the last call, oldest first."""
+        return drained(self._transmissions)
 
-    def warnings(self) -> list[tuple[int, str]]:
+    def take_warnings(self) -> list[tuple[int, str]]:
         """Return the guard's warnings since the last call, with the time of each [ns]."""
         return drained(self._warnings)
 
     def close(self) -> None:
         """End the loop's thread, without sending stops.
 
-        It may be called twice and never raises.
+        This method can be called twice, and never raises.
         """
-        self._closing.set()
+        self._is_closing.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -259,9 +270,9 @@ class InnerLoop:
             self._step_safely()
 
     def step_if_due(self) -> None:
-        """Make a step if one is due, at a frame or every `IDLE_STEP_S`.
+        """Make a step if one is due: after each camera frame, and otherwise every IDLE_STEP_S.
 
-        Call this if the loop has no thread.
+        Call this method repeatedly if the loop has no thread.
         """
         now_ns = self._clock.now()
         if self._wake.is_set() or now_ns >= self._step_ns:
@@ -271,7 +282,7 @@ class InnerLoop:
 
     def _step_until_closed(self) -> None:
         """Make steps until the loop is closed. This runs in the loop's thread."""
-        while not self._closing.is_set():
+        while not self._is_closing.is_set():
             self._wake.wait(IDLE_STEP_S)
             self._wake.clear()
             self.step()
@@ -279,11 +290,11 @@ class InnerLoop:
     @contextmanager
     def _hold_lock(self, timeout_s: float) -> Iterator[bool]:
         """Hold the lock during the `with` block; yield False if it is not free in time."""
-        locked = self._lock.acquire(timeout=timeout_s)
+        is_locked = self._lock.acquire(timeout=timeout_s)
         try:
-            yield locked
+            yield is_locked
         finally:
-            if locked:
+            if is_locked:
                 self._lock.release()
 
     def _step_safely(self) -> Transmission | None:
@@ -299,7 +310,7 @@ class InnerLoop:
             now_ns = self._clock.now()
             self.guard.abort(reason)
             self._begin_stops_of_abort(now_ns)
-            self._obey_operator(now_ns)  # here too, as every step may fail before it
+            self._begin_emergency_stops(now_ns)  # here too, as every step may fail before it
             if self._stops_left:  # here, as the next step may fail before its stop
                 with suppress(Exception, SystemExit):
                     self._repeat_stop(now_ns)
@@ -313,8 +324,8 @@ class InnerLoop:
         """
         now_ns = self._clock.now()
         self.guard.check_awake(now_ns)
-        self._take_frames()
-        self._obey_operator(now_ns)
+        self._check_new_frames()
+        self._begin_emergency_stops(now_ns)
         failure: object = self._actuator.failure
         if not isinstance(failure, str | None):
             raise WrongValueError("an actuator", "a `failure` that is neither a string nor None")
@@ -325,16 +336,19 @@ class InnerLoop:
         if self._stops_left:
             self._repeat_stop(now_ns)
             self.guard.name_cause(self.frames)  # slow, so after the first stop
-        elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
-            return self._send_held(self._held, ruling, now_ns)
-        elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
-            self._send_idle(self.idle(now_ns), ruling, now_ns)
+        elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held_action is not None:
+            return self._send_held(self._held_action, ruling, now_ns)
+        elif (
+            ruling.state in (GuardState.PREFLIGHT, GuardState.READY)
+            and self.idle_direction is not None
+        ):
+            self._send_idle(self.idle_direction(now_ns), ruling, now_ns)
         return None
 
-    def _take_frames(self) -> None:
-        """Let the guard check the frames that have arrived, and keep those that it accepts.
+    def _check_new_frames(self) -> None:
+        """Let the guard check the frames that have arrived, and keep the frames that it accepts.
 
-        Raises WrongValueError for a frame that no log can hold.
+        Raises WrongValueError if a frame has a value that cannot be logged.
         """
         for frame in self._camera.frames():
             fault = describe_frame_fault(frame, len(self.guard.rules.names))
@@ -344,22 +358,22 @@ class InnerLoop:
             if accepted is not None:
                 self.frames.append(accepted)
 
-    def _obey_operator(self, now_ns: int) -> None:
+    def _begin_emergency_stops(self, now_ns: int) -> None:
         """Start the stops of an emergency once, even after an abort, so that devices latch them."""
-        if self._emergency.is_set() and not self._operator_obeyed:
-            self._operator_obeyed = True
+        if self._emergency.is_set() and not self._emergency_stops_begun:
+            self._emergency_stops_begun = True
             self.guard.abort("emergency stop by the operator", emergency=True)
             self._begin_stops(now_ns)
 
     # ---- transmissions ----
 
     def _begin_stops(self, now_ns: int) -> None:
-        """Plan to send a stop STOPS times, the first time at once."""
+        """Schedule STOPS stops, the first one at once."""
         self._stops_left = STOPS
         self._transmit_ns = now_ns
 
     def _begin_stops_of_abort(self, now_ns: int) -> None:
-        """Plan to send the stops of an aborted run, unless that has been done."""
+        """Schedule the stops of an aborted run, unless they have been scheduled before."""
         if not self._abort_stops_begun:
             self._abort_stops_begun = True
             self._begin_stops(now_ns)
@@ -375,7 +389,7 @@ class InnerLoop:
             self._record_transmission(stop)
             if self._first_stop is None:
                 self._first_stop = stop
-        except AbortError as error:  # robots at other ports may hear it, and need the rest, too
+        except AbortError as error:  # robots at other ports still need the remaining stops
             self.guard.abort(error.message)
 
     def _send_held(self, held: HeldAction, ruling: Ruling, now_ns: int) -> Transmission | None:
@@ -385,8 +399,8 @@ class InnerLoop:
             The transmission. None if nothing was sent.
         """
         if held.moving is not None and now_ns < self._transmit_ns:
-            old_and_new = zip(held.moving, ruling.moving, strict=True)
-            if not any(moved and not may_move for moved, may_move in old_and_new):
+            moved_and_may_move = zip(held.moving, ruling.moving, strict=True)
+            if not any(moved and not may_move for moved, may_move in moved_and_may_move):
                 return None
         if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
@@ -402,9 +416,9 @@ class InnerLoop:
         return transmission
 
     def _send_idle(self, direction: float, ruling: Ruling, now_ns: int) -> None:
-        """Send a direction [rad] to all robots before a run; send a stop if frames are missing.
+        """Send a direction [rad] to all robots before a run. If frames are missing, send a stop.
 
-        Something is sent at most once per period of the actuator.
+        At most one transmission is sent per period of the actuator.
         """
         if now_ns < self._transmit_ns:
             return
@@ -419,28 +433,28 @@ class InnerLoop:
         transmission = self._actuator.send(Steer(direction), ruling.poses, all_move, sampled_ns)
         self._report_to_camera(transmission)
         # when a run starts, cells still turn by these directions
-        self.guard.note_transmission(
+        self.guard.record_transmission(
             transmission.sent_ns, transmission.speed.tolist(), transmission.turning.tolist()
         )
 
     def _report_to_camera(self, transmission: Transmission) -> None:
-        """Report a transmission to a camera that identifies robots by their response."""
+        """Report a transmission to the camera, if it identifies robots by their response."""
         if self._direction_listener is not None:
             self._direction_listener.steered(transmission.direction, transmission.sent_ns)
 
     def _record_transmission(self, transmission: Transmission) -> None:
-        """Record a transmission, and notify the camera and the guard of it."""
+        """Check and record a transmission, and report it to the camera and the guard."""
         fault = describe_transmission_fault(
             transmission, len(self.guard.rules.names), self._clock.now()
         )
         if fault:
             raise WrongValueError("an actuator", fault)
-        self.last = transmission
+        self.last_transmission = transmission
         if transmission.speed.any() or transmission.turning.any():
-            self.driven_ns = transmission.sent_ns
+            self.last_driven_ns = transmission.sent_ns
         self._report_to_camera(transmission)
-        self._sent.append(transmission)
-        self.guard.note_transmission(
+        self._transmissions.append(transmission)
+        self.guard.record_transmission(
             transmission.sent_ns, transmission.speed.tolist(), transmission.turning.tolist()
         )
 
@@ -448,18 +462,23 @@ class InnerLoop:
 # ---- what devices may return ----
 
 
-def describe_frame_fault(frame: CameraFrame, robots: int) -> str:
-    """Return a message about what makes a camera's frame of N robots unusable.
+def describe_frame_fault(frame: CameraFrame, n_robots: int) -> str:
+    """Describe why a camera frame cannot be used: a value is invalid, or its times contradict.
 
-    The message is empty if nothing is wrong.
+    Args:
+        frame: The frame.
+        n_robots: Number of robots.
+
+    Returns:
+        The end of an error message. Empty if the frame is valid.
     """
-    numbers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
+    integers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
     poses = [pose for pose in frame.poses if pose is not None]
     is_loggable = (
-        len(frame.poses) == robots
-        and len(frame.exposed_ns) in (0, robots)
+        len(frame.poses) == n_robots
+        and len(frame.exposed_ns) in (0, n_robots)
         and all(_are_loggable((pose.x, pose.y, pose.heading)) for pose in poses)
-        and all(_is_loggable_integer(number) for number in numbers)
+        and all(_is_loggable_integer(number) for number in integers)
     )
     if not is_loggable:
         return "a frame that cannot be logged: a number is missing, not finite or too large"
@@ -470,28 +489,29 @@ def describe_frame_fault(frame: CameraFrame, robots: int) -> str:
     return ""
 
 
-def describe_transmission_fault(transmission: object, robots: int, now_ns: int) -> str:
-    """Return a message about what is wrong with a transmission that an actuator reports.
-
-    The message is empty if nothing is wrong.
+def describe_transmission_fault(transmission: object, n_robots: int, now_ns: int) -> str:
+    """Describe what is wrong with a transmission that an actuator reports.
 
     Args:
         transmission: The value that the actuator returned. It should be a `Transmission`.
-        robots: Number of robots.
+        n_robots: Number of robots.
         now_ns: The present time [ns].
+
+    Returns:
+        The end of an error message. Empty if the transmission is valid.
     """
-    unloggable = (
+    unloggable_message = (
         "a transmission that cannot be logged: a number is missing, not finite or too large"
     )
     if not isinstance(transmission, Transmission):
-        return unloggable
-    if not _is_loggable_integer(transmission.sent_ns) or len(transmission.delivered) != robots:
-        return unloggable
+        return unloggable_message
+    if not _is_loggable_integer(transmission.sent_ns) or len(transmission.delivered) != n_robots:
+        return unloggable_message
     for speeds in (transmission.speed, transmission.turning, transmission.left, transmission.right):
         if speeds is not None and not (
-            np.shape(speeds) == (robots,) and _are_loggable(np.asarray(speeds))
+            np.shape(speeds) == (n_robots,) and _are_loggable(np.asarray(speeds))
         ):
-            return unloggable
+            return unloggable_message
     if not 0 <= transmission.sent_ns <= now_ns:
         return (
             f"a transmission sent at {transmission.sent_ns} ns, not between 0 and now, {now_ns} ns"
@@ -500,7 +520,7 @@ def describe_transmission_fault(transmission: object, robots: int, now_ns: int) 
 
 
 def _is_loggable_integer(number: object) -> bool:
-    """Check whether a value is a Python int below NEVER in magnitude, so that it fits into a log.
+    """Check whether a value fits into a log as an integer: a Python int below NEVER in magnitude.
 
     Integers of NumPy are not accepted.
     """

@@ -7,10 +7,10 @@
                                                            `stream_lost`        the run ends
     tracking    age of a robot's last accepted pose        UNTRACKED_STOP_S     the robot stops
                                                            `untracked_abort`    the run ends
-    speed       distance from an earlier pose              FASTER times the     the pose is refused
-                                                           robot's speed
+    speed       distance from an earlier pose              SPEED_FACTOR times   the pose is refused
+                                                           the robot's speed
     arena       place after `reaction`, outside            0, if it increases   the run ends
-    obstacle    depth now or after `reaction`              0, or the least one  the run ends
+    obstacle    depth now or after `reaction`              0, or its minimum    the run ends
     separation  distance of two robots after `reaction`    `separation_mm`      the run ends
 
 Each rule compares a measured value with a limit in the spec. No rule fits or estimates anything,
@@ -49,27 +49,29 @@ JUMP_HEADING = 0.7
 class ControlPace:
     """The times of this program's last step and of the controller's last direction.
 
+    The guard uses them to notice that the program or the controller is too slow.
+
     Attributes:
-        ticked_ns: Time of the last step [ns]. None before the first.
-        directed_ns: Time of the last direction [ns].
-        ahead: Whether robots drive. Otherwise they turn on the spot.
+        last_step_ns: Time of the last step of the inner loop [ns]. None before the first.
+        last_direction_ns: Time of the controller's last direction [ns].
+        drives_ahead: Whether robots drive. Otherwise they turn on the spot.
         late_steps: Number of late control steps in a row.
-        late_ns: Time of the last late control step [ns]. None before that.
-        driven: Whether a run has begun, after which nobody carries robots.
+        last_late_ns: Time of the last late control step [ns]. None before that.
+        has_begun: Whether a run has begun, after which nobody carries robots.
     """
 
-    ticked_ns: int | None = None
-    directed_ns: int = 0
-    ahead: bool = True
+    last_step_ns: int | None = None
+    last_direction_ns: int = 0
+    drives_ahead: bool = True
     late_steps: int = 0
-    late_ns: int | None = None
-    driven: bool = False
+    last_late_ns: int | None = None
+    has_begun: bool = False
 
 
 def compare_age(
     rule: str, age_ns: float, limit_ns: float, robot: int | None = None
 ) -> Excess | None:
-    """Compare an age with its limit.
+    """Compare the age of something, such as a frame or a direction, with its limit.
 
     Args:
         rule: Name of the rule.
@@ -96,7 +98,7 @@ def check_program(rules: GuardRules, pace: ControlPace, now_ns: int) -> Excess |
     Returns:
         The time without a step and its limit. None if it is within the limit.
     """
-    age_ns = 0 if pace.ticked_ns is None else now_ns - pace.ticked_ns
+    age_ns = 0 if pace.last_step_ns is None else now_ns - pace.last_step_ns
     return compare_age("program", age_ns, rules.limits.stream_lost * SECOND)
 
 
@@ -111,9 +113,9 @@ def check_direction(rules: GuardRules, pace: ControlPace, now_ns: int) -> Excess
     Returns:
         The age of the last direction and its limit. None if it is within the limit.
     """
-    if not pace.ahead:
+    if not pace.drives_ahead:
         return None
-    return compare_age("direction", now_ns - pace.directed_ns, rules.silence_ns)
+    return compare_age("direction", now_ns - pace.last_direction_ns, rules.silence_ns)
 
 
 def check_frame_age(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
@@ -155,9 +157,11 @@ def may_move(rules: GuardRules, pace: ControlPace, frame_ns: int, now_ns: int) -
         frame_ns: When the newest frame was exposed [ns].
         now_ns: The present time [ns].
     """
-    is_filmed = now_ns - frame_ns <= rules.limits.stale * SECOND
-    turn_ns = round(PAUSE_S * SECOND) + rules.silence_ns
-    return is_filmed and (pace.ahead or now_ns - pace.directed_ns < turn_ns)
+    has_recent_frame = now_ns - frame_ns <= rules.limits.stale * SECOND
+    plan_wait_max_ns = round(PAUSE_S * SECOND) + rules.silence_ns
+    return has_recent_frame and (
+        pace.drives_ahead or now_ns - pace.last_direction_ns < plan_wait_max_ns
+    )
 
 
 # ---- speed ----
@@ -166,27 +170,30 @@ def may_move(rules: GuardRules, pace: ControlPace, frame_ns: int, now_ns: int) -
 def check_speed(
     rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: int
 ) -> Excess | None:
-    """Check whether a robot cannot have come from an earlier pose to a pose within a time.
+    """Check whether a pose is too far from an earlier pose of the same robot.
 
     Args:
         rules: The limits.
         robot: Index of the robot.
         earlier: The earlier pose.
         pose: The pose.
-        dt_ns: Time between the two [ns].
+        dt_ns: Time between the two poses [ns].
 
     Returns:
-        The distance or the angle that is too large. None if both are possible.
+        The distance or the angle that is too large, and its limit. None if the robot can have
+        moved from the one pose to the other.
     """
     dt_s = dt_ns / SECOND
-    reach = SPEED_FACTOR * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm
+    reach_max = SPEED_FACTOR * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm_per_unit
     distance = pose.distance_to(earlier)
-    if distance > reach:
-        return Excess("speed", distance * rules.mm, reach * rules.mm, "mm", robot)
-    reach_rad = SPEED_FACTOR * rules.turning[robot] * dt_s + JUMP_HEADING
-    angle = abs(math.remainder(pose.heading - earlier.heading, math.tau))
-    if angle > reach_rad:
-        return Excess("speed", angle, reach_rad, "rad", robot)
+    if distance > reach_max:
+        return Excess(
+            "speed", distance * rules.mm_per_unit, reach_max * rules.mm_per_unit, "mm", robot
+        )
+    turn_max_rad = SPEED_FACTOR * rules.turning[robot] * dt_s + JUMP_HEADING
+    turn_rad = abs(math.remainder(pose.heading - earlier.heading, math.tau))
+    if turn_rad > turn_max_rad:
+        return Excess("speed", turn_rad, turn_max_rad, "rad", robot)
     return None
 
 
@@ -201,7 +208,7 @@ class PlaceCheck(GuardCheck):
 
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules
-        self._largest_error = rules.largest_error
+        self._largest_error = rules.position_error_max
         self._speeds: Sequence[float] = (0.0,) * len(rules.names)  # of the last transmission
         self._turning: Sequence[float] = (0.0,) * len(rules.names)
         self._minimum_depths: dict[int, float] = {}  # each robot's least depth in obstacles so far
@@ -241,8 +248,8 @@ class PlaceCheck(GuardCheck):
                 yield Abort(f"{name} is about to enter an obstacle", excess=excess)
         yield from find_too_close(poses, predicted, self._rules)
 
-    def check_obstacles(self, robot: int, pose: Pose) -> Excess | None:
-        """Check whether robot i is in an obstacle, or will be after its reaction time.
+    def check_obstacles(self, robot_index: int, pose: Pose) -> Excess | None:
+        """Check whether a robot is in an obstacle, or will be after its reaction time.
 
         The prediction uses the rates of the last transmission. A robot that was in an obstacle when
         the run started may leave it. Then the limit is the smallest depth that the robot has
@@ -251,26 +258,34 @@ class PlaceCheck(GuardCheck):
         Returns:
             The depth, now or after the reaction, and its limit. None if it is within the limit.
         """
-        noise = self._largest_error
+        error_max = self._largest_error
         depth = self._compute_depth(pose.x, pose.y)
-        minimum = self._minimum_depths[robot] = min(depth, self._minimum_depths.get(robot, depth))
-        limit = 0.0
-        if minimum > -noise:
-            limit = max(minimum, 0.0) + noise
-        elif depth <= limit:
-            depth = self._predict_depth(robot, pose)
-        if depth <= limit:
+        depth_min = self._minimum_depths[robot_index] = min(
+            depth, self._minimum_depths.get(robot_index, depth)
+        )
+        depth_max = 0.0
+        if depth_min > -error_max:
+            depth_max = max(depth_min, 0.0) + error_max
+        elif depth <= depth_max:
+            depth = self._predict_depth(robot_index, pose)
+        if depth <= depth_max:
             return None
-        return Excess("obstacle", depth * self._rules.mm, limit * self._rules.mm, "mm", robot)
+        return Excess(
+            "obstacle",
+            depth * self._rules.mm_per_unit,
+            depth_max * self._rules.mm_per_unit,
+            "mm",
+            robot_index,
+        )
 
     def _predict_depth(self, robot: int, pose: Pose) -> float:
-        """Predict how deep robot i will be in an obstacle after its reaction time.
+        """Predict how deep a robot will be in an obstacle after its reaction time.
 
         The depth is in the spec's length unit, and negative outside.
         """
         reaction_s = self._rules.limits.reaction
-        turned = self._turning[robot] * reaction_s
-        dx, dy = arc_displacement(pose.heading, turned, self._speeds[robot] * reaction_s)
+        turn_rad = self._turning[robot] * reaction_s
+        dx, dy = arc_displacement(pose.heading, turn_rad, self._speeds[robot] * reaction_s)
         return self._compute_depth(pose.x + dx, pose.y + dy)
 
     def _compute_depth(self, x: float, y: float) -> float:
@@ -279,10 +294,13 @@ class PlaceCheck(GuardCheck):
         The depth is negative outside, and -inf if no obstacle is near.
         """
         deepest = -math.inf
-        margin = self._largest_error
+        error_max = self._largest_error
         for shape in self._rules.obstacles:
             left, bottom, right, top = shape.box
-            if left - margin <= x <= right + margin and bottom - margin <= y <= top + margin:
+            if (
+                left - error_max <= x <= right + error_max
+                and bottom - error_max <= y <= top + error_max
+            ):
                 distance = shape.distance(np.array(x), np.array(y))
                 deepest = max(deepest, -float(distance))
         return deepest
@@ -304,7 +322,9 @@ def compute_edge_excess(rules: GuardRules, robot: int, predicted: Pose) -> Exces
         robot: Index of the robot.
         predicted: Its pose after its reaction time.
     """
-    return Excess("arena", distance_outside(rules.arena, predicted) * rules.mm, 0.0, "mm", robot)
+    return Excess(
+        "arena", distance_outside(rules.arena, predicted) * rules.mm_per_unit, 0.0, "mm", robot
+    )
 
 
 def drive_ahead(pose: Pose, distance: float) -> Pose:
@@ -333,8 +353,14 @@ def find_too_close(
         for neighbour in names[:i]:
             gap = poses[name].distance_to(poses[neighbour])
             predicted_gap = predicted[name].distance_to(predicted[neighbour])
-            if predicted_gap <= gap and predicted_gap * rules.mm < separation_mm:
-                robot = rules.names.index(name)
-                excess = Excess("separation", predicted_gap * rules.mm, separation_mm, "mm", robot)
-                text = f"{neighbour} and {name} are too close: {gap * rules.mm:.0f} mm"
+            if predicted_gap <= gap and predicted_gap * rules.mm_per_unit < separation_mm:
+                robot_index = rules.names.index(name)
+                excess = Excess(
+                    "separation",
+                    predicted_gap * rules.mm_per_unit,
+                    separation_mm,
+                    "mm",
+                    robot_index,
+                )
+                text = f"{neighbour} and {name} are too close: {gap * rules.mm_per_unit:.0f} mm"
                 yield Abort(text, excess=excess)

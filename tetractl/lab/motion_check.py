@@ -24,10 +24,10 @@ one frame to the next are the minimum and the maximum of all these possible rate
 Comparison. The bounds are integrated over time, and the motion is added up from pose to pose; each
 robot's integrals end at the time of its own pose. When a pose arrives, each part of the motion must
 lie between the integral of its minimum rate and that of its maximum rate, plus or minus a slack.
-This is compared over several times: until now, since each of the *moments* of about the last
-second. Moments are times of consistent poses at least SPACING_NS apart. A pose that is out of
-bounds since any of them contradicts the commands, and its motion is not counted. Every other pose
-is *consistent*.
+Each comparison covers the time from one of the *moments* of about the last second until now.
+Moments are times of consistent poses, at least MOMENT_SPACING_NS apart. A pose contradicts the
+commands if the motion since any moment is out of its bounds. The motion up to such a pose is not
+counted. Every other pose is *consistent*.
 
 Repeats. A pose that equals the previous one to the last bit may come from a frozen image. Let
 bounds *exclude zero* if the rates along, or those around, are all positive or all negative. The
@@ -127,15 +127,15 @@ class CommandHistory:
 
         Entries older than about 2 s may be dropped.
         """
-        count = len(self._times)
-        if count == len(self._rates):
+        n_sent = len(self._times)
+        if n_sent == len(self._rates):
             self._rates = np.concatenate([self._rates, np.zeros_like(self._rates)])
-        self._rates[count] = rates
+        self._rates[n_sent] = rates
         self._times.append(now_ns)
-        outdated = bisect_right(self._times, now_ns - 2 * SECOND)
-        if outdated > 64:  # old entries are removed occasionally, all at once
-            self._rates[: count + 2 - outdated] = self._rates[outdated - 1 : count + 1].copy()
-            del self._times[: outdated - 1]
+        n_outdated = bisect_right(self._times, now_ns - 2 * SECOND)
+        if n_outdated > 64:  # old entries are removed occasionally, all at once
+            self._rates[: n_sent + 2 - n_outdated] = self._rates[n_outdated - 1 : n_sent + 1].copy()
+            del self._times[: n_outdated - 1]
 
     def find_acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
         """Return the transmissions that were in effect at some time between two times [ns].
@@ -143,9 +143,9 @@ class CommandHistory:
         Returns:
             Their times (K,), oldest first, and their rates (K, ...) as a view.
         """
-        first = max(0, bisect_right(self._times, since_ns) - 1)
-        last = bisect_right(self._times, until_ns)
-        return self._times[first:last], self._rates[first:last]
+        first_index = max(0, bisect_right(self._times, since_ns) - 1)
+        end_index = bisect_right(self._times, until_ns)
+        return self._times[first_index:end_index], self._rates[first_index:end_index]
 
     def compute_mean(self, until_ns: int, dt_ns: int) -> Floats:
         """Compute the mean of the rates commanded during the `dt_ns` before `until_ns` [ns].
@@ -153,35 +153,39 @@ class CommandHistory:
         Before the first transmission, rates are 0.
         """
         since_ns = until_ns - dt_ns
-        latest = bisect_left(self._times, until_ns) - 1
-        if latest >= 0 and self._times[latest] <= since_ns:  # the most frequent case
-            return self._rates[latest] * dt_ns / dt_ns
-        total = self._no_rates
-        while latest >= 0:
-            begin_ns = max(self._times[latest], since_ns)
-            total = total + self._rates[latest] * (until_ns - begin_ns)
+        latest_index = bisect_left(self._times, until_ns) - 1
+        if latest_index >= 0 and self._times[latest_index] <= since_ns:  # the most frequent case
+            return self._rates[latest_index] * dt_ns / dt_ns
+        weighted_sum = self._no_rates
+        while latest_index >= 0:
+            begin_ns = max(self._times[latest_index], since_ns)
+            weighted_sum = weighted_sum + self._rates[latest_index] * (until_ns - begin_ns)
             if begin_ns == since_ns:
                 break
             until_ns = begin_ns
-            latest = bisect_left(self._times, begin_ns) - 1
-        return total / dt_ns
+            latest_index = bisect_left(self._times, begin_ns) - 1
+        return weighted_sum / dt_ns
 
 
 class MotionSinceRest:
-    """The motion of N robots since they last stood still, and what commands allow.
+    """The motion of N robots since they last stood still, and the motion that commands allow.
 
-    It contains the motion measured by consistent poses (N, 3). It also contains the integrals of
-    the bounds (2, N, 3), which commands allow, until now and until each robot's pose last changed.
-    `moments` are each robot's moments, oldest first: a time, and the motion and integrals (3, 3)
-    until then. Moments older than COMPARED_NS are dropped when a consistent pose is added. This
-    happens after the comparison, so the first pose after a gap is also compared with older moments.
+    Attributes:
+        travelled: Motion that consistent poses have measured, shape (N, 3).
+        integrals: Integrals of the bounds until now, shape (2, N, 3): the minimum and the maximum
+            motion that commands allow.
+        integrals_at_change: The same integrals, until each robot's pose last changed.
+        moments: Moments of each robot, oldest first. Each has a time [ns], and the motion and the
+            integrals until then, shape (3, 3). Moments older than COMPARED_MAX_NS are dropped when
+            a consistent pose is added. This happens after the comparison, so the first pose after a
+            gap is also compared with older moments.
     """
 
-    def __init__(self, robots: int) -> None:
-        self.travelled = np.zeros((robots, 3))
-        self.integrals = np.zeros((2, robots, 3))
-        self.integrals_at_change = np.zeros((2, robots, 3))
-        self.moments = [deque[tuple[int, Floats]]() for _ in range(robots)]
+    def __init__(self, n_robots: int) -> None:
+        self.travelled = np.zeros((n_robots, 3))
+        self.integrals = np.zeros((2, n_robots, 3))
+        self.integrals_at_change = np.zeros((2, n_robots, 3))
+        self.moments = [deque[tuple[int, Floats]]() for _ in range(n_robots)]
 
 
 class MotionCheck(GuardCheck):
@@ -200,34 +204,40 @@ class MotionCheck(GuardCheck):
     statistical = True
 
     def __init__(self, rules: GuardRules, noise: float, wheel_error: float) -> None:
-        robots = len(rules.speeds)
-        self._mm = rules.mm
+        n_robots = len(rules.speeds)
+        self._mm = rules.mm_per_unit
         self._delay_ns = round(rules.limits.delay * SECOND)
         self._radius = rules.wheel_radius
         self._wheel_error = wheel_error
-        self._coarse = rules.sight.coarse
-        driven = SLACK_S * np.array(rules.speeds)
+        self._is_coarse = rules.sight.coarse
+        slack_distances = SLACK_S * np.array(rules.speeds)
         heading_error = rules.sight.largest_error_rad
         # by how much each part of a motion may be out of its bounds (N, 3)
         self._slack = np.column_stack(
-            [driven + noise, driven + noise, np.full(robots, SLACK_RAD + 2 * heading_error)]
+            [
+                slack_distances + noise,
+                slack_distances + noise,
+                np.full(n_robots, SLACK_RAD + 2 * heading_error),
+            ]
         )
         # how far (N, 3) a robot may move while its pose on a grid repeats: the diagonal of the
         # grid's square, or a step of the heading, and the slack without the errors of poses
-        diagonal = math.sqrt(2) * rules.sight.grid_mm / rules.mm
-        steps = np.array([diagonal, diagonal, rules.sight.grid_rad])
-        self._visible_min = steps + np.column_stack([driven, driven, np.full(robots, SLACK_RAD)])
+        grid_diagonal = math.sqrt(2) * rules.sight.grid_mm / rules.mm_per_unit
+        grid_steps = np.array([grid_diagonal, grid_diagonal, rules.sight.grid_rad])
+        self._visible_min = grid_steps + np.column_stack(
+            [slack_distances, slack_distances, np.full(n_robots, SLACK_RAD)]
+        )
         # times (N,) of the newest poses, 0 before the first frame: what is integrated from 0 to
         # that frame means nothing, as robots start from rest before anything is compared
-        self._times = (0,) * robots
+        self._times = (0,) * n_robots
         # the rates that each transmission allows (2, N, 3)
-        self._commanded = CommandHistory(2, robots, 3)
+        self._commanded = CommandHistory(2, n_robots, 3)
         # the bounds (2, N, 3) up to the newest frame
-        self._bounds = np.zeros((2, robots, 3))
+        self._bounds = np.zeros((2, n_robots, 3))
         # for how long (N,) [s] commands that exclude zero have been in force since the last pose
         # of each robot was taken
-        self._driven_s = np.zeros(robots)
-        self._since_rest = MotionSinceRest(robots)
+        self._driven_s = np.zeros(n_robots)
+        self._since_rest = MotionSinceRest(n_robots)
         # of robots that are seen to move in a pause: since when, and the pose where they stood
         self._straying: dict[int, TimedPose] = {}
 
@@ -262,13 +272,19 @@ class MotionCheck(GuardCheck):
         """Record a transmission; see `GuardCheck.record_transmission`."""
         speeds = np.array(speed)
         turning_rates = np.array(turning)
-        error = self._wheel_error * np.maximum(np.abs(speeds), np.abs(turning_rates) * self._radius)
-        error_around = (
-            error / self._radius if self._radius else self._wheel_error * np.abs(turning_rates)
+        speed_error = self._wheel_error * np.maximum(
+            np.abs(speeds), np.abs(turning_rates) * self._radius
         )
-        exact = np.array([speeds, np.zeros_like(speeds), turning_rates]).T
-        errors = np.array([error, error, error_around]).T
-        self._commanded.add(now_ns, np.array([exact - errors, exact + errors]))
+        turning_error = (
+            speed_error / self._radius
+            if self._radius
+            else self._wheel_error * np.abs(turning_rates)
+        )
+        commanded_rates = np.array([speeds, np.zeros_like(speeds), turning_rates]).T
+        rate_errors = np.array([speed_error, speed_error, turning_error]).T
+        self._commanded.add(
+            now_ns, np.array([commanded_rates - rate_errors, commanded_rates + rate_errors])
+        )
 
     # ---- a frame ----
 
@@ -299,9 +315,13 @@ class MotionCheck(GuardCheck):
         self._driven_s[robots] += self._compute_driven_s(since_ns, until_ns)[robots]
 
     def _compute_bounds(self, since_ns: int, until_ns: int) -> Floats:
-        """Return the bounds (2, N, 3) between two times, for all commands that robots may obey.
+        """Compute the bounds between two times [ns], from all commands that robots may obey.
 
-        Only gaps between transmissions count, because nobody knows which of them a robot received.
+        Only gaps between transmissions count, because nobody knows which transmissions a robot has
+        received.
+
+        Returns:
+            The minimum and maximum rates, shape (2, N, 3).
         """
         earliest_ns = since_ns - self._delay_ns
         times, rates = self._commanded.find_acting(earliest_ns, until_ns)
@@ -319,12 +339,12 @@ class MotionCheck(GuardCheck):
         """
         times, rates = self._commanded.find_acting(since_ns, until_ns)
         driven_s = np.zeros(len(self._times))
-        in_force = pairwise([*times, until_ns])
-        for (sent_ns, next_ns), bounds in zip(in_force, rates, strict=True):
-            begins_ns = max(sent_ns, since_ns)
-            ends_ns = min(next_ns, sent_ns + WATCHDOG_NS)
-            if ends_ns > begins_ns:
-                driven_s[exclude_standstill(bounds)] += (ends_ns - begins_ns) / SECOND
+        periods = pairwise([*times, until_ns])
+        for (sent_ns, next_ns), bounds in zip(periods, rates, strict=True):
+            begin_ns = max(sent_ns, since_ns)
+            end_ns = min(next_ns, sent_ns + WATCHDOG_NS)
+            if end_ns > begin_ns:
+                driven_s[exclude_standstill(bounds)] += (end_ns - begin_ns) / SECOND
         return driven_s
 
     # ---- a pose ----
@@ -336,35 +356,35 @@ class MotionCheck(GuardCheck):
         one drives forward and one backward, or one drives and one turns on the spot, these bounds
         do not exclude zero although each command moves the robot.
         """
-        moves_now = bool(exclude_standstill(self._bounds[:, robot]))
-        moved_long = bool(self._driven_s[robot] > self._delay_ns / SECOND)
-        if not moves_now and not moved_long:
+        must_move_now = bool(exclude_standstill(self._bounds[:, robot]))
+        has_driven_long = bool(self._driven_s[robot] > self._delay_ns / SECOND)
+        if not must_move_now and not has_driven_long:
             return
         since_rest = self._since_rest
         minimum, maximum = (since_rest.integrals - since_rest.integrals_at_change)[:, robot]
-        unseen = self._visible_min[robot]
-        if not self._coarse or np.any((minimum > unseen) | (maximum < -unseen)):
+        unseen_max = self._visible_min[robot]
+        if not self._is_coarse or np.any((minimum > unseen_max) | (maximum < -unseen_max)):
             driven_s = float(self._driven_s[robot])
             yield Refuse(robot, POSE_REPEATS, Excess("frozen", driven_s, 0.0, "s", robot))
 
     def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Refuse a pose that contradicts the commands; see `GuardCheck.check_pose`."""
-        fault = self.take_pose(robot, before, pose)
+        fault = self.compare_pose(robot, before, pose)
         if fault is not None:
             yield fault
 
     def check_pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
         """Report a robot that moves in a pause; see `GuardCheck.check_pause`."""
-        stood = self._straying.get(robot, TimedPose(now_ns, before))
-        fault = self.take_pose(robot, stood.pose, pose)
+        standing_pose = self._straying.get(robot, TimedPose(now_ns, before))
+        fault = self.compare_pose(robot, standing_pose.pose, pose)
         if fault is None:
             self._straying.pop(robot, None)
             return
-        self._straying[robot] = stood
-        if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
+        self._straying[robot] = standing_pose
+        if now_ns - standing_pose.exposed_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault.text)
 
-    def take_pose(self, robot: int, before: Pose, pose: Pose) -> Refuse | None:
+    def compare_pose(self, robot: int, before: Pose, pose: Pose) -> Refuse | None:
         """Compare a new pose of a robot with the commands, and record it if it is consistent.
 
         The first pose after `start` or `replace` counts as consistent, and the motion up to it is
@@ -401,7 +421,7 @@ class MotionCheck(GuardCheck):
         return None
 
     def _find_contradiction(self, robot: int, motion: Floats) -> Floats | None:
-        """Find the newest moment since which robot i moved as no command of it allows.
+        """Find the newest moment since which a robot has moved as no command allows.
 
         Returns:
             The motion since then and its bounds (3, 3). None if there is no such moment.
@@ -409,11 +429,11 @@ class MotionCheck(GuardCheck):
         moments = self._since_rest.moments[robot]
         if not moments:
             return None
-        since = motion - np.array([moment for _, moment in moments])
-        contradicts = are_out_of_bounds(since, self._slack[robot]).any(axis=1)
+        motion_since = motion - np.array([moment for _, moment in moments])
+        contradicts = are_out_of_bounds(motion_since, self._slack[robot]).any(axis=1)
         if not contradicts.any():
             return None
-        return since[np.flatnonzero(contradicts)[-1]]
+        return motion_since[np.flatnonzero(contradicts)[-1]]
 
 
 def exclude_standstill(bounds: Floats) -> Bools:
@@ -447,8 +467,8 @@ def describe_fault(motion: Floats, slack: Floats, has_wheels: bool) -> str:
     """Describe a motion that has a part out of its bounds.
 
     The command is taken as the middle of the bounds. A part *stands* if it is smaller than
-    STANDS_SHARE of the command. It is *against* the command if their signs differ and the command
-    is larger than MEANT_SHARE of it. The first row that holds is reported:
+    STANDS_FRACTION of the command. It is *against* the command if their signs differ and the
+    command is larger than MEANT_FRACTION of it. The first row that holds is reported:
 
         it does not move             along is out of bounds and stands; or around is out of bounds
                                      and stands, and along is smaller than its slack
@@ -480,13 +500,13 @@ def describe_fault(motion: Floats, slack: Floats, has_wheels: bool) -> str:
     return MOVES_UNEXPLAINED.format(PARTS[1] if across_is_out else PARTS[2])
 
 
-def compute_excess(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
+def compute_excess(motion: Floats, slack: Floats, mm_per_unit: float, robot: int) -> Excess:
     """Describe the part of a motion that is furthest out of its bounds.
 
     Args:
         motion: The motion and its bounds, shape (3, 3).
         slack: How much a part may exceed its bounds, shape (3,). Parts are compared by it.
-        mm: Millimetres per length unit.
+        mm_per_unit: Millimetres per length unit.
         robot: Index of the robot.
     """
     travelled, minimum, maximum = motion
@@ -494,7 +514,7 @@ def compute_excess(motion: Floats, slack: Floats, mm: float, robot: int) -> Exce
     upper = maximum + slack
     part = int((np.maximum(lower - travelled, travelled - upper) / slack).argmax())
     limit = lower[part] if travelled[part] < lower[part] else upper[part]
-    unit, scale = ("rad", 1.0) if part == 2 else ("mm", mm)
+    unit, scale = ("rad", 1.0) if part == 2 else ("mm", mm_per_unit)
     return Excess("motion", float(travelled[part]) * scale, float(limit) * scale, unit, robot)
 
 

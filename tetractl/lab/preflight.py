@@ -3,8 +3,8 @@
 `inspect` takes the next FRAMES_CHECKED camera frames, and checks:
 
     frames    Do frames arrive? Is the median of their ages on arrival, counted from the exposure,
-              at most `latency` [s]? (Only a warning: do fewer arrive than RATE_SHARE of the
-              camera's rate?)
+              at most `latency` [s]? (Only a warning: is their rate below RATE_FRACTION_MIN
+              of the camera's rate?)
     robots    Is each robot tracked, and at most `start_mm` [mm] and `start_heading` [rad] from its
               start? Does it answer, and what does it report?
     arena     If robots can stand still: do they, and is nothing else in the arena?
@@ -25,7 +25,7 @@ from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Health, LabSupervision, RobotStatus
 from tetractl.core.trial import EMULATED_DEVICES
 from tetractl.lab.camera_stream import compute_rate_hz
-from tetractl.lab.frames import AcceptedFrame, as_shown
+from tetractl.lab.frames import AcceptedFrame, accept_all_poses
 from tetractl.lab.rest_check import describe_drifting_robots, describe_moving_robots
 from tetractl.lab.rig import Rig
 
@@ -154,7 +154,7 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
         health = rig.camera.check()
         newest = rig.loop.frames.newest
         frames = [] if newest else rig.camera.frames()  # which no guard has checked
-        newest = as_shown(frames[-1]) if frames else newest
+        newest = accept_all_poses(frames[-1]) if frames else newest
         robots = [_check_robot(rig, i, newest) for i in range(len(names))]
     return Preflight(
         robots=tuple(robots),
@@ -173,9 +173,9 @@ def inspect(rig: Rig) -> Preflight:
     No robot is moved. The lab must be open. This takes up to about two seconds.
     """
     statuses = rig.actuator.poll(1.0)
-    dropped_before = rig.loop.guard.dropped
+    dropped_before = rig.loop.guard.dropped_frame_count
     new_frames = _watch_frames(rig)
-    outdated = rig.loop.guard.dropped - dropped_before
+    n_dropped = rig.loop.guard.dropped_frame_count - dropped_before
     camera = rig.camera.check()
     actuator = rig.actuator.check()
     newest = rig.loop.frames.newest
@@ -193,8 +193,8 @@ def inspect(rig: Rig) -> Preflight:
     warnings = [*camera.warnings, *actuator.warnings, *describe_quarter_turns(rig, newest)]
     if is_slow:
         warnings.append(f"only {measured_hz:.0f} frames per second come instead of {own_hz:.0f}")
-    if outdated:
-        warnings.append(describe_dropped_frames(outdated))
+    if n_dropped:
+        warnings.append(describe_dropped_frames(n_dropped))
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
@@ -214,9 +214,9 @@ def inspect(rig: Rig) -> Preflight:
 
 
 def describe_unplaced(rig: Rig) -> list[str]:
-    """Return one line for each robot that is untracked or not on its start.
+    """Describe each robot that is untracked or not on its start, in one line.
 
-    A line is added if all robots seem to be turned by the same number of quarter turns.
+    A further line is added if all robots seem to be turned by the same number of quarter turns.
     """
     newest = rig.loop.frames.newest
     robots = (_check_robot(rig, i, newest) for i in range(len(rig.setup.names)))
@@ -235,18 +235,20 @@ def describe_quarter_turns(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     if rig.limits.start_heading >= QUARTER_TURN:
         return []
     robots = [_check_robot(rig, i, frame) for i in range(len(rig.setup.names))]
-    turns = [robot.off_heading for robot in robots if robot.off_heading is not None]
+    heading_errors = [robot.off_heading for robot in robots if robot.off_heading is not None]
     on_start = [
         robot.off_mm is not None and robot.off_mm <= rig.limits.start_mm for robot in robots
     ]
     if not all(on_start):
         return []
-    quarters = round(turns[0] / QUARTER_TURN)
+    n_quarters = round(heading_errors[0] / QUARTER_TURN)
     error_max = min(rig.limits.start_heading, QUARTER_TURN / 4)
-    errors = [abs(math.remainder(turn - quarters * QUARTER_TURN, math.tau)) for turn in turns]
-    if quarters == 0 or max(errors) > error_max:
+    errors = [
+        abs(math.remainder(turn - n_quarters * QUARTER_TURN, math.tau)) for turn in heading_errors
+    ]
+    if n_quarters == 0 or max(errors) > error_max:
         return []
-    degrees = "180" if abs(quarters) == 2 else f"{90 * quarters:+d}"
+    degrees = "180" if abs(n_quarters) == 2 else f"{90 * n_quarters:+d}"
     subject = "all robots are" if len(robots) > 1 else f"{robots[0].name} is"
     return [
         f"{subject} turned by {degrees} degrees from the start heading: does each tag or body "
@@ -254,9 +256,9 @@ def describe_quarter_turns(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     ]
 
 
-def describe_dropped_frames(outdated: int) -> str:
-    """Return a warning that a number of frames were dropped, because they arrived out of order."""
-    return f"camera frames dropped, because later frames had already come: {outdated}"
+def describe_dropped_frames(n_dropped: int) -> str:
+    """Create a warning that a number of frames were dropped, because newer frames came first."""
+    return f"camera frames dropped, because later frames had already come: {n_dropped}"
 
 
 def _check_robot(
@@ -269,13 +271,13 @@ def _check_robot(
     if pose is None:
         return RobotFinding(name, None, None, "", rig.describe_untracked(index), status)
     off_mm = math.hypot(pose.x - starts.x[index], pose.y - starts.y[index]) * rig.mm_per_unit
-    turned = math.remainder(pose.heading - starts.heading[index], math.tau)
+    heading_error = math.remainder(pose.heading - starts.heading[index], math.tau)
     misplaced = ""
     if off_mm > limits.start_mm:
         misplaced = f"{name} is {off_mm:.0f} mm from its start"
-    elif abs(turned) > limits.start_heading:
-        misplaced = f"{name} is turned by {turned:+.2f} rad from its start heading"
-    return RobotFinding(name, off_mm, turned, misplaced, "", status)
+    elif abs(heading_error) > limits.start_heading:
+        misplaced = f"{name} is turned by {heading_error:+.2f} rad from its start heading"
+    return RobotFinding(name, off_mm, heading_error, misplaced, "", status)
 
 
 def _describe_unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
@@ -287,15 +289,15 @@ def _describe_unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
 def _watch_frames(rig: Rig) -> list[CameraFrame]:
     """Return the next `FRAMES_CHECKED` frames, or fewer.
 
-    There are fewer if they take more than a second, or if the camera falls silent.
+    There are fewer if they take more than a second, or if the camera stops sending.
     """
     clock = rig.clock
     frames = rig.loop.frames
     first_count = rig.loop.frames.count
-    began_ns = received_ns = clock.now()
+    start_ns = received_ns = clock.now()
     silence_max_ns = round(rig.limits.stream_lost * SECOND)
     count = first_count
-    while count - first_count < FRAMES_CHECKED and clock.now() - began_ns < SECOND:
+    while count - first_count < FRAMES_CHECKED and clock.now() - start_ns < SECOND:
         clock.sleep_until(clock.now() + SECOND // 100)
         previous_count = count
         count = frames.count
@@ -308,14 +310,15 @@ def _watch_frames(rig: Rig) -> list[CameraFrame]:
 
 
 def _compute_latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
-    """Return the median and maximum age of frames on arrival [ms].
+    """Compute the median and the maximum age of frames on arrival [ms].
 
-    None if there are no frames, or if the camera does not report when they were exposed.
+    The result is None if there are no frames, or if the camera does not report when they were
+    exposed.
     """
-    ages = sorted(frame.received_ns - frame.sampled_ns for frame in frames)
-    if not ages or not ages[-1]:
+    ages_ns = sorted(frame.received_ns - frame.sampled_ns for frame in frames)
+    if not ages_ns or not ages_ns[-1]:
         return None
-    return ages[len(ages) // 2] / 1e6, ages[-1] / 1e6
+    return ages_ns[len(ages_ns) // 2] / 1e6, ages_ns[-1] / 1e6
 
 
 def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
@@ -333,7 +336,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     clock = rig.clock
     # frames are missing occasionally, so a robot has at least 1 s
     limit_ns = round(max(rig.limits.placing, 1.0) * SECOND)
-    began_ns = clock.now()
+    start_ns = clock.now()
     while True:
         findings: Preflight | None = None
         lines = describe_unplaced(rig) or (
@@ -353,7 +356,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
         if supervision.cancelled():
             raise KeyboardInterrupt
         _check_stream(rig)
-        if prompt is None and clock.now() - began_ns >= limit_ns:
+        if prompt is None and clock.now() - start_ns >= limit_ns:
             problems = (findings or inspect(rig)).all_problems
             raise AbortError(
                 "; ".join(dict.fromkeys((*problems, *lines))),

@@ -57,7 +57,7 @@ class Rig:
         self.loop = InnerLoop(
             camera,
             actuator,
-            build_guard(GuardRules.of(setup, limits), checks_of),
+            build_guard(GuardRules.from_setup(setup, limits), checks_of),
             clock,
             wake or threading.Event(),
             emergency or threading.Event(),
@@ -142,7 +142,7 @@ class Rig:
         """
         self.setup = setup
         self.start_anywhere()
-        self.loop.restart(GuardRules.of(setup, self.limits))
+        self.loop.restart(GuardRules.from_setup(setup, self.limits))
         wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
@@ -153,11 +153,11 @@ class Rig:
     @property
     def remaining_robots(self) -> list[int]:
         """The indices of the robots that are not lost."""
-        return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
+        return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost_robots]
 
     def describe_untracked(self, robot: int) -> str:
         """Describe for the operator that a robot, given by its index, is not tracked, and why."""
-        reason = self.loop.guard.refused[robot]
+        reason = self.loop.guard.refusal_reasons[robot]
         return f"{self.setup.names[robot]} is not tracked" + (f": {reason}" if reason else "")
 
     def close(self) -> None:

@@ -47,14 +47,14 @@ class PoseDecision:
 
     Attributes:
         accepted: The pose if it is accepted. None otherwise.
-        refused: Why it is refused. Empty if it is accepted, or if there is no pose.
+        refusal: Why it is refused. Empty if it is accepted, or if there is no pose.
         disobeys: Whether it is refused because the robot disobeys.
         findings: Further findings of the guard's checks.
         excess: The value that led to the refusal. None if the reason has no number.
     """
 
     accepted: Pose | None = None
-    refused: str = ""
+    refusal: str = ""
     disobeys: bool = False
     findings: tuple[Finding, ...] = ()
     excess: Excess | None = None
@@ -77,14 +77,14 @@ class RobotTrack:
     """Index of the robot."""
     last_pose: Pose | None = None
     """The last accepted pose of the robot. None before the first."""
-    last_ns: int = 0
+    last_pose_ns: int = 0
     """When that pose was exposed [ns]. 0 before the first."""
-    newest_ns: int = 0
+    newest_frame_ns: int = 0
     """When the newest frame was exposed [ns]. 0 before the first.
 
     Everything below refers to this time.
     """
-    read_ns: int = 0
+    newest_pose_ns: int = 0
     """Time of the robot's pose in the newest frame [ns].
 
     If the frame does not show the robot, it is the time of the last accepted pose.
@@ -92,47 +92,50 @@ class RobotTrack:
     is_new: bool = True
     """Whether the robot's pose in the newest frame, if there is one, is a new measurement."""
     unseen_ns: float = 0.0
-    """How long the robot was unseen in runs, minus FORGIVEN of the time it was seen [ns]."""
+    """How long the robot was unseen in runs [ns], minus a part of the time it was seen.
+
+    This part is FORGIVEN_FRACTION.
+    """
     _counted_ns: int = 0
     """Time up to which `unseen_ns` is counted [ns]."""
     decision: PoseDecision = MISSING
     """The guard's decision on the robot's newest pose."""
-    ghost: str = ""
-    """Why all poses of the robot are refused from now on. Empty if they are not."""
+    ghost_reason: str = ""
+    """Why all further poses of the robot are refused. Empty if they are not."""
     lost_ns: int | None = None
     """When the robot was last seen before it was lost [ns]. None if it is not lost."""
-    strayed: str = ""
-    """How the robot was first seen moving in a pause. Empty if it was not."""
+    pause_motion: str = ""
+    """How the robot was first seen to move in a pause. Empty if it was not."""
     _height: float | None = None
     """Height of the robot's body at the start of the run [length unit]. None if unknown."""
     _remembered: deque[TimedPose] = field(default_factory=deque)
     """Accepted poses that a new pose is compared with, oldest first."""
 
     @property
-    def lost(self) -> bool:
+    def is_lost(self) -> bool:
         """Whether the robot is lost, so that the run continues without it."""
         return self.lost_ns is not None
 
     @property
     def untracked_ns(self) -> int:
         """How much older the last accepted pose of the robot is than the newest frame [ns]."""
-        return self.newest_ns - self.last_ns
+        return self.newest_frame_ns - self.last_pose_ns
 
     @property
-    def untracked_text(self) -> str:
-        """A message that the robot is not tracked, since when and, if known, why."""
-        why = f": {self.decision.refused}" if self.decision.refused else ""
-        return f"{self.name} is not tracked{why} ({self.untracked_ns / SECOND:.2f} s)"
+    def untracked_message(self) -> str:
+        """A message that the robot is not tracked, for how long and, if known, why."""
+        reason = f": {self.decision.refusal}" if self.decision.refusal else ""
+        return f"{self.name} is not tracked{reason} ({self.untracked_ns / SECOND:.2f} s)"
 
     @property
-    def hidden(self) -> bool:
+    def is_hidden(self) -> bool:
         """Whether no pose was accepted for so long that the robot must stop."""
         return self.untracked_ns > UNTRACKED_STOP_S * SECOND
 
     @property
-    def tracked(self) -> bool:
+    def is_tracked(self) -> bool:
         """Whether the robot has a recent accepted pose and is not lost, so that it may move."""
-        return self.last_pose is not None and not self.lost and not self.hidden
+        return self.last_pose is not None and not self.is_lost and not self.is_hidden
 
     def start_run(self) -> None:
         """Forget how the robot moved before a run, because it may have been carried.
@@ -141,15 +144,16 @@ class RobotTrack:
         the body.
         """
         heights = [
-            earlier.pose.height
-            for earlier in self._remembered
-            if self.last_ns - earlier.exposed_ns <= HEIGHT_NS and earlier.pose.height is not None
+            remembered.pose.height
+            for remembered in self._remembered
+            if self.last_pose_ns - remembered.exposed_ns <= HEIGHT_NS
+            and remembered.pose.height is not None
         ]
         self._height = statistics.median(heights) if heights else None
         self._remembered.clear()
         if self.last_pose is not None:
-            self._remembered.append(TimedPose(self.last_ns, self.last_pose))
-        self._counted_ns = self.last_ns
+            self._remembered.append(TimedPose(self.last_pose_ns, self.last_pose))
+        self._counted_ns = self.last_pose_ns
         self.decision = MISSING
 
     # ---- its poses ----
@@ -158,32 +162,33 @@ class RobotTrack:
         """Record the times of the newest frame and of the robot's pose in it.
 
         If poses have their own times, a frame may repeat a pose that was measured for an earlier
-        frame. It is new only if it is later than the last accepted pose and the last pose read.
+        frame. The pose is new only if it is later than the last accepted pose, and than the pose in
+        the previous frame.
 
         Args:
-            newest_ns: Time of the frame.
-            read_ns: Time of the pose.
+            newest_ns: Time of the frame [ns].
+            read_ns: Time of the pose [ns].
             has_own_times: Whether poses have their own times.
         """
-        self.is_new = not has_own_times or read_ns > max(self.last_ns, self.read_ns)
-        self.newest_ns = newest_ns
-        self.read_ns = read_ns
+        self.is_new = not has_own_times or read_ns > max(self.last_pose_ns, self.newest_pose_ns)
+        self.newest_frame_ns = newest_ns
+        self.newest_pose_ns = read_ns
 
     def count_absence(self, stale_ns: float) -> None:
         """Add up how long the robot was not seen, until the newest frame of a run.
 
         It counts as seen until its last pose is `stale_ns` old.
         """
-        seen_until_ns = self.last_ns + stale_ns
-        unseen_ns = max(0.0, self.newest_ns - max(self._counted_ns, seen_until_ns))
-        seen_ns = self.newest_ns - self._counted_ns - unseen_ns
+        seen_until_ns = self.last_pose_ns + stale_ns
+        unseen_ns = max(0.0, self.newest_frame_ns - max(self._counted_ns, seen_until_ns))
+        seen_ns = self.newest_frame_ns - self._counted_ns - unseen_ns
         self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN_FRACTION * seen_ns)
-        self._counted_ns = self.newest_ns
+        self._counted_ns = self.newest_frame_ns
 
     def accept(self, pose: Pose, exposed_ns: int) -> None:
         """Store an accepted pose, exposed at `exposed_ns`, after the last accepted one."""
         self.last_pose = pose
-        self.last_ns = exposed_ns
+        self.last_pose_ns = exposed_ns
         remembered = self._remembered
         while remembered and exposed_ns - remembered[0].exposed_ns > REMEMBERED_NS:
             remembered.popleft()
@@ -191,31 +196,37 @@ class RobotTrack:
             remembered.append(TimedPose(exposed_ns, pose))
 
     def find_refusal(self, pose: Pose, exposed_ns: int, is_driving: bool) -> Refuse | None:
-        """Find the reason why a pose cannot belong to the robot. None if it can.
+        """Find the reason why a pose cannot belong to the robot.
 
         Args:
             pose: The pose.
             exposed_ns: Its time [ns].
             is_driving: Whether robots drive. Robots that do not drive may be carried, so only the
                 limits of height and tilt are checked.
+
+        Returns:
+            The refusal, with its reason. None if the pose can belong to the robot.
         """
-        fault = self.ghost or self._describe_wrong_height(pose)
-        if not fault and is_driving:
-            fault = self._describe_lift(pose)
-        if fault:
-            return Refuse(self.index, fault)
+        reason = self.ghost_reason or self._describe_wrong_height(pose)
+        if not reason and is_driving:
+            reason = self._describe_lift(pose)
+        if reason:
+            return Refuse(self.index, reason)
         jump = self._find_jump(pose, exposed_ns) if is_driving else None
         return None if jump is None else Refuse(self.index, POSE_JUMPED, jump)
 
     def _describe_wrong_height(self, pose: Pose) -> str:
         """Explain why a body's height or tilt is wrong for a robot on the floor.
 
-        Empty if both fit.
+        The result is empty if both are within the limits.
         """
-        mm = self.rules.mm
+        mm_per_unit = self.rules.mm_per_unit
         lowest_mm, highest_mm = self.rules.limits.height_mm
-        if pose.height is not None and not lowest_mm / mm <= pose.height <= highest_mm / mm:
-            return f"its body is at a height of {pose.height * mm:.0f} mm"
+        if (
+            pose.height is not None
+            and not lowest_mm / mm_per_unit <= pose.height <= highest_mm / mm_per_unit
+        ):
+            return f"its body is at a height of {pose.height * mm_per_unit:.0f} mm"
         if pose.tilt is not None and not pose.tilt <= self.rules.limits.tilt:
             return f"its body is tilted by {pose.tilt:.2f} rad"
         return ""
@@ -223,11 +234,11 @@ class RobotTrack:
     def _describe_lift(self, pose: Pose) -> str:
         """Describe how much higher or lower the body is than at the start of the run.
 
-        Empty if it is not.
+        The result is empty if the height has not changed by more than LIFTED_MM.
         """
         if pose.height is None or self._height is None:
             return ""
-        higher_mm = (pose.height - self._height) * self.rules.mm
+        higher_mm = (pose.height - self._height) * self.rules.mm_per_unit
         if higher_mm > LIFTED_MM:
             return f"its body is {higher_mm:.0f} mm higher than at the start: was it lifted?"
         if higher_mm < -LIFTED_MM:
@@ -235,15 +246,17 @@ class RobotTrack:
         return ""
 
     def _find_jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
-        """Find a remembered pose from which the robot cannot have come, and return the excess.
+        """Find a remembered pose from which the robot cannot have come to a new pose.
 
-        None if it can have come from each of them.
+        Returns:
+            The distance or angle that is too large, and its limit. None if the robot can have come
+            from each of the remembered poses.
         """
         if self.last_pose is None:
             return None
-        for earlier in (*self._remembered, TimedPose(self.last_ns, self.last_pose)):
-            dt_ns = exposed_ns - earlier.exposed_ns
-            excess = check_speed(self.rules, self.index, earlier.pose, pose, dt_ns)
+        for remembered in (*self._remembered, TimedPose(self.last_pose_ns, self.last_pose)):
+            dt_ns = exposed_ns - remembered.exposed_ns
+            excess = check_speed(self.rules, self.index, remembered.pose, pose, dt_ns)
             if excess is not None:
                 return excess
         return None

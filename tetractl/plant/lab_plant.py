@@ -142,7 +142,7 @@ class LabFrames:
             self.newest = observations[-1]
             xy = np.array([observation.poses.xy for observation in observations])
             x, y = xy.transpose(2, 0, 1)
-            x[:, list(self._rig.loop.guard.lost)] = np.nan
+            x[:, list(self._rig.loop.guard.lost_robots)] = np.nan
             valid = np.array([observation.valid for observation in observations])
             self.path_check.add(x, y, valid)
         if self.newest is not None:  # frames that the guard rejected give no sample
@@ -176,7 +176,7 @@ class LabFrames:
             frame.sampled_ns,
             frame.received_ns,
             Poses(x, y, heading),
-            np.array(accepted.fresh),
+            np.array(accepted.is_fresh),
             accepted.exposed_ns,
         )
 
@@ -294,10 +294,14 @@ class LabPlant:
 
         Only what is new since the last call is returned.
         """
-        warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.warnings()]
+        warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.take_warnings()]
         events: list[Command | Note] = [
             *self._notes,
-            *(sent for sent in self.rig.loop.sent() if sent.sent_ns not in self._returned),
+            *(
+                sent
+                for sent in self.rig.loop.take_transmissions()
+                if sent.sent_ns not in self._returned
+            ),
             *warnings,
         ]
         self._notes.clear()
@@ -332,8 +336,8 @@ class LabPlant:
         not_at_rest = rest.reason
         if not_at_rest:
             self._note("error", not_at_rest)
-        if guard.dropped:
-            self._note("warning", describe_dropped_frames(guard.dropped))
+        if guard.dropped_frame_count:
+            self._note("warning", describe_dropped_frames(guard.dropped_frame_count))
         turns = guard.drift.describe_turning()
         if turns:
             self._note("info", turns)
@@ -391,7 +395,7 @@ class LabPlant:
         loss = self.setup.loss
         if loss is None or not loss.replaced:
             return
-        for i, seen_ns in self.rig.loop.guard.lost.items():
+        for i, seen_ns in self.rig.loop.guard.lost_robots.items():
             if now - seen_ns < loss.after_s * SECOND:
                 continue
             what = watch.replace(i)
@@ -454,7 +458,7 @@ class LabPlant:
         lines: list[str] = []
         if self.clock.now() - self._stopped_ns > STANDSTILL_NS:
             lines += describe_drifting_robots(self.rig, WINDOW_MULTIPLES[:1])
-        moved = guard.moved
+        moved = guard.pause_motions
         if len(moved) == len(self.setup.names) > 1:
             lines.append(CAMERA_MOVED)
         else:

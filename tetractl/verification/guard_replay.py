@@ -109,7 +109,7 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
     Returns:
         The guard's interventions, and the time for which it watched.
     """
-    rules = GuardRules.of(log.start.setup, limits or lab_limits(log))
+    rules = GuardRules.from_setup(log.start.setup, limits or lab_limits(log))
     observer = GuardObserver(rules, lab_checks(log.experiment))
     deadline_missed_by_time = {step.command.sent_ns: step.deadline_missed for step in log.steps}
     ticked_ns = 0
@@ -160,7 +160,7 @@ def _note_action(observer: GuardObserver, command: Command) -> None:
         observer.end_run()
         return
     observer.start_run(command.sent_ns)
-    observer.note_direction(command.sent_ns, isinstance(command.action, Steer))
+    observer.record_direction(command.sent_ns, isinstance(command.action, Steer))
 
 
 def note_speeds(guard: Guard | GuardObserver, log: TrialLog, command: Command) -> None:
@@ -174,4 +174,4 @@ def note_speeds(guard: Guard | GuardObserver, log: TrialLog, command: Command) -
     wheel_radius = log.start.setup.wheel_radius
     if wheel_radius is not None and command.left is not None and command.right is not None:
         speed, turning = body_velocity(command.left, command.right, wheel_radius)
-        guard.note_transmission(command.sent_ns, speed.tolist(), turning.tolist())
+        guard.record_transmission(command.sent_ns, speed.tolist(), turning.tolist())

@@ -136,7 +136,7 @@ def _recompute_turning_rates(log: TrialLog) -> tuple[tuple[float, ...], tuple[fl
     setup = log.start.setup
     if not isinstance(lab, LabSection) or setup.wheel_radius is None:
         return (), ()
-    guard = build_guard(GuardRules.of(setup, lab.limits), lab_checks(log.experiment))
+    guard = build_guard(GuardRules.from_setup(setup, lab.limits), lab_checks(log.experiment))
     guard.pass_preflight()
     for event in ordered_events(log):
         if not event.is_command:

@@ -20,15 +20,15 @@ from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError, WireError
-from tetractl.lab.actuators.xbee.hardware import BAUDS
-from tetractl.lab.cobs import Splitter
+from tetractl.lab.actuators.xbee.hardware import BAUD_RATES
+from tetractl.lab.cobs import FrameSplitter
 from tetractl.lab.serial_port import is_network
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 
 TERMINAL_FOLDER = Path("/dev/pts")
 """Folder of the system's pseudo-terminals."""
-_BAUD_BY_SPEED_CODE = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
+_BAUD_BY_SPEED_CODE = {vars(termios)[f"B{baud}"]: baud for baud in BAUD_RATES}
 """Baud rate of each speed code that `termios.tcgetattr` returns."""
 
 
@@ -138,7 +138,7 @@ class SerialDevice(ABC):
         self.line = SerialLine(timeline, baud, self.acting)
         self.n_garbled_chunks = 0
         self._timeline = timeline
-        self._frame_splitter = Splitter()  # each frame ends with a zero byte
+        self._frame_splitter = FrameSplitter()  # each frame ends with a zero byte
 
     @abstractmethod
     def receive(self, data: bytes) -> None:

@@ -85,7 +85,7 @@ class SwimCheck(MotionCheck):
 
         The comparison then restarts at this pose. Nothing is yielded for any other pose.
         """
-        fault = self.take_pose(robot, before, pose)
+        fault = self.compare_pose(robot, before, pose)
         if fault is not None:
             self.replace(robot)
             yield Warn(f"{self._names[robot]} {fault.text}")

@@ -33,7 +33,7 @@ from tetractl_ros2.topics import POSE_MESSAGES, emulated_topic, pose_topics
 
 FIRST_POSES_S = 5.0
 """Maximum time until every robot has a pose [s]. The nodes have to find each other first."""
-FRAMES_WAITING_MAX = 1000
+PENDING_FRAMES_MAX = 1000
 """Maximum number of frames that wait to be read."""
 SAME_CLOCK_AGE_MAX_NS = SECOND // 2
 """Maximum age of a quick message's stamp on this computer's clock, if the clocks agree [ns]."""
@@ -109,7 +109,7 @@ class Ros2Camera:
         self._is_emulated = False
         self._frame_count = 0
         self._newest_ns = -1
-        self._waiting_frames = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
+        self._waiting_frames = deque[CameraFrame](maxlen=PENDING_FRAMES_MAX)
         topics = pose_topics(section, setup)
         self._clocks = [StampClock() for _ in topics]
         marker = emulated_topic()
@@ -241,7 +241,7 @@ class Ros2Camera:
         The result is None if no stamp has come, if a message had no stamp, or if the tracker is
         emulated.
         """
-        offsets_ns = [clock.quickest_ns for clock in self._clocks]
+        offsets_ns = [clock.shortest_gap_ns for clock in self._clocks]
         known_offsets_ns = [offset_ns for offset_ns in offsets_ns if offset_ns is not None]
         if not known_offsets_ns or self._is_emulated or self._has_unstamped:
             return None

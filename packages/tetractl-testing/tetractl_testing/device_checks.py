@@ -379,7 +379,7 @@ class _SteeringChecks:
         robots: MovedRobots,
     ) -> None:
         checks_of: ChecksOf = resolve_name(section.checks)
-        self.moves_all_together = checks_of(GuardRules.of(setup, LabLimits())).together
+        self.moves_all_together = checks_of(GuardRules.from_setup(setup, LabLimits())).together
         self.actuator = actuator
         self.setup = setup
         self.robots = robots

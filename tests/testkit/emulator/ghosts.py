@@ -188,7 +188,7 @@ class Ghost:
             return
         frame = self.lab.plant.rig.loop.frames.newest
         if frame:
-            self.late += [frame.fresh[i] for i in self.who]
+            self.late += [frame.is_fresh[i] for i in self.who]
 
     def _off(self, i: int) -> float:
         """Return how far robot i is shown from where it is [mm]."""

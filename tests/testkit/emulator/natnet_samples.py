@@ -6,18 +6,18 @@ import pytest
 from tetractl_emulator.optitrack.natnet_server import pack_modeldef, packed_body, section, suffix
 
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.payloads import layout_of
+from tetractl.lab.cameras.optitrack.payloads import find_layout
 from tetractl.lab.cameras.optitrack.wire import pack_datagram, pack_fields, pack_name
 
 NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
-VERSIONS = [natnet.Version.of(text) for text in NUMBERS.split(" ")]
+VERSIONS = [natnet.Version.parse(text) for text in NUMBERS.split(" ")]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 BODY = natnet.RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
 
 
 def full_frame(version, bodies=(BODY, BODY), params=0):
     """Return a frame with something of every kind; what the version does not have is left out."""
-    layout = layout_of(version)
+    layout = find_layout(version)
     frame = natnet.NatNetFrame(1234, bodies, params)
     position = pack_fields("3f", *BODY.position)
     body = packed_body(BODY, version, markers=3)
@@ -34,11 +34,11 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
         [packed_body(body, version, markers=3) for body in bodies],
         skeletons,
     ]
-    if layout.sized:
+    if layout.has_sizes:
         markers_of_asset = numbered(b"", marker + bytes(4), marker + bytes(4))
         asset = numbered(pack_fields("i", 5), body) + markers_of_asset
         sections.append([asset])
-    labelled_marker = marker + bytes(4 * layout.timed)
+    labelled_marker = marker + bytes(4 * layout.has_exposure_time)
     sections.append([labelled_marker, labelled_marker])
     analogue = [
         pack_fields("i2f", 2, 1.0, 2.0),
@@ -46,7 +46,7 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
     ]  # channels of two samples and of none
     force_plate = numbered(pack_fields("i", 1), *analogue)
     device = numbered(pack_fields("i", 2), pack_fields("if", 1, 3.0))
-    sections.extend([[force_plate], [device]][: layout.channels])
+    sections.extend([[force_plate], [device]][: layout.channel_section_count])
     parts = [section(items, version) for items in sections]
     payload = pack_fields("i", frame.number) + b"".join(parts) + suffix(frame, version)
     return pack_datagram(natnet.MessageKind.FRAME, payload)

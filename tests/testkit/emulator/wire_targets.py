@@ -14,8 +14,13 @@ from tetractl.core.poses import CameraFrame
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS_SETTING, UP_AXIS_SETTING, Stream
-from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.cameras.optitrack.stream import (
+    AGE_MAX_NS,
+    UNITS_SETTING,
+    UP_AXIS_SETTING,
+    NatNetStream,
+)
+from tetractl.lab.cameras.optitrack.wire import parse_datagram
 
 VERSIONS = [
     natnet.Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]
@@ -38,12 +43,12 @@ def sound(frame: CameraFrame) -> None:
     assert 0 <= frame.received_ns - frame.sampled_ns <= AGE_MAX_NS
 
 
-def stream(up: UpAxis | None = None) -> Stream:
+def stream(up: UpAxis | None = None) -> NatNetStream:
     robots = (
         TrackedRobot(name="robot", body="green"),
         TrackedRobot(name="robot", body=12, heading_offset=0.5),
     )
-    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up)
+    return NatNetStream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up)
 
 
 def natnet_datagrams(data: bytes) -> None:
@@ -52,24 +57,24 @@ def natnet_datagrams(data: bytes) -> None:
     rest = data[1:]
     for server_version in (version, None):
         with only(WireError):
-            parse(rest, server_version)
+            parse_datagram(rest, server_version)
     hearing = stream()
     for question in (
         natnet.Connect(),
-        natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF),
+        natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF),
         natnet.EchoRequest(ECHOED_NS),
     ):
-        hearing.asked(question)
+        hearing.record_request(question)
     fed = 0
     for datagram in cut_by_headers(rest):
-        hearing.asked(natnet.NatNetRequest((UP_AXIS_SETTING, UNITS_SETTING)[fed % 2]))
+        hearing.record_request(natnet.NatNetRequest((UP_AXIS_SETTING, UNITS_SETTING)[fed % 2]))
         hearing.feed(datagram, 500 * MS * fed)
         if hearing.newest is not None:
             sound(hearing.newest)
         fed += 1
     counts = hearing.counts
-    assert counts.frames + counts.bad + counts.unasked <= fed
-    hearing.missing()
+    assert counts.frames + counts.unread + counts.unrequested <= fed
+    hearing.list_missing_bodies()
 
 
 def cut_by_headers(data: bytes) -> Iterator[bytes]:

@@ -11,9 +11,9 @@ from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
 from tetractl.lab.abort_cause import (
     CAMERA_MOVED,
-    MISFIT_NOISE,
     MOTION_ERROR,
     NUMBERS_SWAPPED,
+    POSE_DIFFERENCE_STD,
     RADIO_SLOW,
     RECENT_NS,
     AbortCause,
@@ -289,6 +289,6 @@ def test_a_deviation_counts_by_its_direction_and_by_what_was_commanded(off, size
         1: (-np.sin(heading) * deviation, np.cos(heading) * deviation, 0.0),
         2: (0.0, 0.0, deviation),
     }[off]
-    expected = (deviation / (MISFIT_NOISE[off] + MOTION_ERROR[off] * size)) ** 2
+    expected = (deviation / (POSE_DIFFERENCE_STD[off] + MOTION_ERROR[off] * size)) ** 2
     squares = compute_squares(np.array([[0.0, 0.0, 0.7]]), now + np.array(shift), sent)
     assert squares == pytest.approx([expected])

@@ -40,7 +40,7 @@ def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
     assert [frame.frame.number for frame in frames] == list(range(5, WAITING_MAX + 5))
     assert buffer.since(read) == ([], WAITING_MAX + 5), "none comes twice"
     newest = WAITING_MAX + 4
-    in_20_ns = [frame.frame.number for frame in buffer.last(20)]  # one frame every 10 ns
+    in_20_ns = [frame.frame.number for frame in buffer.recent(20)]  # one frame every 10 ns
     assert in_20_ns == [newest - 2, newest - 1, newest]
 
 

@@ -17,7 +17,7 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.calibrate import (
     Channel,
-    DrivenPath,
+    SteadyMotion,
     _CalibrationBench,
     _excess_delay_s,
     _fit_steady_motion,
@@ -68,7 +68,7 @@ class HeldWheels(FakeActuator, WheeledActuator):
 
     def _send(self, action, moving):
         sent = super()._send(action, (False,) * len(moving))
-        outputs = np.zeros(2) if isinstance(action, Stop) else self.held[:, 0] * 1.0
+        outputs = np.zeros(2) if isinstance(action, Stop) else self.held_outputs[:, 0] * 1.0
         self.sent_outputs.append(outputs)
         beyond = np.sign(outputs) * np.maximum(np.abs(outputs) - self.dead_zones, 0)
         motors = beyond * self.gains_mm
@@ -244,7 +244,7 @@ def test_a_channel_that_does_not_turn_the_robot_is_refused(rates, says):
 def test_a_radius_is_the_speed_over_the_turning_rates_of_both_wheels(radius_mm, refused):
     channels = [Channel(1, 0.1, 3), Channel(-1, 0.2, 5)]
     turning = 0.1 * (13 - 3) + 0.2 * (15 - 5)
-    straight = DrivenPath(0.0, -0.6 * radius_mm * turning, 0.8 * radius_mm * turning)
+    straight = SteadyMotion(0.0, -0.6 * radius_mm * turning, 0.8 * radius_mm * turning)
     if refused:
         with pytest.raises(AbortError, match="is impossible"):
             bench()._compute_radius(straight, channels, [13, 15])
@@ -258,8 +258,8 @@ def test_a_radius_is_the_speed_over_the_turning_rates_of_both_wheels(radius_mm, 
 def test_an_offset_is_the_direction_of_travel_without_a_drift(degrees, refused):
     angle = math.radians(degrees)
     along, across = 50 * math.cos(angle), 50 * math.sin(angle)
-    forwards = DrivenPath(0.0, along + 7, across - 9)
-    backwards = DrivenPath(0.0, -along + 7, -across - 9)
+    forwards = SteadyMotion(0.0, along + 7, across - 9)
+    backwards = SteadyMotion(0.0, -along + 7, -across - 9)
     if refused:
         with pytest.raises(AbortError, match=f"{degrees} degrees off"):
             bench()._compute_offset(forwards, backwards)

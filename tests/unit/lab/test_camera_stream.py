@@ -43,26 +43,26 @@ def test_the_rate_of_a_window_is_that_of_its_frames_wherever_the_clock_is(hz, be
     window = RateWindow()
     for k in range(3 * hz):
         window.add(begin_ns + k * SECOND // hz)
-    assert window.hz == pytest.approx(hz, rel=1e-6)
+    assert window.rate_hz == pytest.approx(hz, rel=1e-6)
 
 
 def test_a_window_has_no_rate_until_it_spans_half_a_second():
     window = RateWindow()
-    assert window.hz is None
+    assert window.rate_hz is None
     window.add(0)
     window.add(SECOND // 2 - 1)
-    assert window.hz is None
+    assert window.rate_hz is None
     window.add(SECOND // 2)
-    assert window.hz == pytest.approx(4.0)
+    assert window.rate_hz == pytest.approx(4.0)
 
 
 def test_a_window_forgets_what_is_more_than_a_second_old():
     window = RateWindow()
     for time_ns in (0, 1, 2, SECOND):
         window.add(time_ns)
-    assert window.hz == pytest.approx(3.0), "a frame exactly a second old still counts"
+    assert window.rate_hz == pytest.approx(3.0), "a frame exactly a second old still counts"
     window.add(SECOND + 2)
-    assert window.hz == pytest.approx(2.0, rel=1e-6)
+    assert window.rate_hz == pytest.approx(2.0, rel=1e-6)
 
 
 def test_what_was_damaged_within_the_last_second_is_counted():
@@ -147,7 +147,7 @@ def test_only_a_frame_that_is_newer_than_all_others_advances_the_stream():
     taken = [stream.add_frame(frame(at * MS), False) for at in (50, 60, 60, 40, 61)]
     assert taken == [True, True, False, False, True]
     assert stream.newest_ns == 61 * MS
-    assert (stream.dropped, stream.outdated) == (2, 0)
+    assert (stream.dropped_count, stream.outdated_count) == (2, 0)
 
 
 def test_outdated_frames_are_counted_with_the_age_of_the_last():
@@ -155,8 +155,8 @@ def test_outdated_frames_are_counted_with_the_age_of_the_last():
     assert stream.describe_silence(SECOND // 2) == "no new camera frame for 0.50 s"
     for at in (1000, 900, 750):
         stream.add_frame(frame(at * MS), False)
-    assert stream.outdated == stream.dropped == 2
-    assert stream.behind_ns == 250 * MS
+    assert stream.outdated_count == stream.dropped_count == 2
+    assert stream.outdated_by_ns == 250 * MS
     assert stream.describe_silence(SECOND) == (
         "no new camera frame for 1.00 s: 2 outdated frames came, the last exposed 0.25 s before "
         "the newest frame"
@@ -170,10 +170,10 @@ def test_outdated_frames_are_counted_with_the_age_of_the_last():
 )
 def test_slow_frames_are_named_and_fast_ones_are_not(hz, slow):
     stream = CameraStream()
-    assert stream.slow_text == ""
+    assert stream.slow_hint == ""
     for k in range(int(2 * hz)):
         stream.add_frame(frame(round(k * SECOND / hz)), False)
-    text = stream.slow_text
+    text = stream.slow_hint
     assert text.startswith(f"; only {hz:.0f} images per second came") if slow else text == ""
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 
-PAYLOADS = st.binary(min_size=1, max_size=cobs.FRAME_MAX - 2)
+PAYLOADS = st.binary(min_size=1, max_size=cobs.PAYLOAD_BYTES_MAX - 2)
 
 
 def crc_by_the_bit(data):
@@ -29,26 +29,26 @@ def test_the_checksum_is_that_of_its_definition(data):
 
 @given(PAYLOADS)
 def test_a_frame_has_no_zero_but_the_last_byte_and_gives_its_payload_back(payload):
-    frame = cobs.frame_with_crc(payload)
+    frame = cobs.encode_with_crc(payload)
     assert frame.index(0) == len(frame) - 1
-    assert cobs.checked_payload(frame[:-1]) == payload
+    assert cobs.decode_with_crc(frame[:-1]) == payload
 
 
 def test_a_frame_is_full_with_its_checksum_and_not_earlier():
-    full = bytes(range(1, cobs.FRAME_MAX - 1))
-    assert cobs.checked_payload(cobs.frame_with_crc(full)[:-1]) == full
+    full = bytes(range(1, cobs.PAYLOAD_BYTES_MAX - 1))
+    assert cobs.decode_with_crc(cobs.encode_with_crc(full)[:-1]) == full
     with pytest.raises(WireError, match="do not fit"):
-        cobs.frame_with_crc(full + b"x")
+        cobs.encode_with_crc(full + b"x")
     too_long = full + b"x"
     sealed = too_long + cobs.crc16(too_long).to_bytes(2, "little")
     with pytest.raises(WireError, match="cannot have 81 bytes"):
-        cobs.checked_payload(cobs.encode(sealed)[:-1])
+        cobs.decode_with_crc(cobs.encode(sealed)[:-1])
 
 
 def test_a_checksum_alone_is_no_frame():
     empty = cobs.crc16(b"").to_bytes(2, "little")
     with pytest.raises(WireError, match="cannot have 2 bytes"):
-        cobs.checked_payload(cobs.encode(empty)[:-1])
+        cobs.decode_with_crc(cobs.encode(empty)[:-1])
 
 
 @pytest.mark.parametrize("frame", [b"", b"\x02a\x00", b"\x00", b"\x03a"])
@@ -58,11 +58,11 @@ def test_bytes_that_are_no_frame_are_refused(frame):
 
 
 def test_flags_are_the_three_that_the_firmware_knows():
-    assert cobs.checked_flags(0) == cobs.Flag(0)
-    assert cobs.checked_flags(7) == cobs.Flag.RUN | cobs.Flag.EMERGENCY_STOP | cobs.Flag.POLL
+    assert cobs.parse_flags(0) == cobs.Flag(0)
+    assert cobs.parse_flags(7) == cobs.Flag.RUN | cobs.Flag.EMERGENCY_STOP | cobs.Flag.POLL
     for flags in (8, 9, 128, 255):
         with pytest.raises(WireError, match="unknown flags"):
-            cobs.checked_flags(flags)
+            cobs.parse_flags(flags)
 
 
 def test_fields_come_back_from_a_message_of_their_type_and_size_alone():
@@ -80,21 +80,21 @@ def test_fields_come_back_from_a_message_of_their_type_and_size_alone():
 @settings(max_examples=40)
 @given(st.lists(PAYLOADS, max_size=4), st.data())
 def test_every_frame_of_a_stream_is_found_however_it_is_cut(payloads, data):
-    stream = b"".join(cobs.frame_with_crc(payload) for payload in payloads)
-    splitter = cobs.Splitter()
+    stream = b"".join(cobs.encode_with_crc(payload) for payload in payloads)
+    splitter = cobs.FrameSplitter()
     frames = []
     while stream:
         cut = data.draw(st.integers(1, min(len(stream), 60)))
         frames += splitter.feed(stream[:cut])
         stream = stream[cut:]
-    assert [cobs.checked_payload(frame) for frame in frames] == payloads
+    assert [cobs.decode_with_crc(frame) for frame in frames] == payloads
 
 
 @pytest.mark.parametrize("pieces", [1, 2, 7])
 def test_a_frame_of_the_largest_size_is_kept_and_a_longer_one_dropped_alone(pieces):
-    largest = b"x" * (cobs.FRAME_MAX + 1)
+    largest = b"x" * (cobs.PAYLOAD_BYTES_MAX + 1)
     for garbage, kept in [(largest, [largest]), (largest + b"x", []), (largest * 9, [])]:
-        splitter = cobs.Splitter()
+        splitter = cobs.FrameSplitter()
         size = -(-len(garbage) // pieces)
         frames = [
             frame
@@ -106,4 +106,4 @@ def test_a_frame_of_the_largest_size_is_kept_and_a_longer_one_dropped_alone(piec
 
 
 def test_two_frame_ends_in_a_row_are_no_frame():
-    assert cobs.Splitter().feed(b"\0\0ab\0\0") == [b"ab"]
+    assert cobs.FrameSplitter().feed(b"\0\0ab\0\0") == [b"ab"]

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
-from tetractl.lab.drift_check import DRIFT_TOGETHER, INVERSE_LARGEST, Changes, DriftCheck
+from tetractl.lab.drift_check import DRIFT_TOGETHER, INVERSE_LARGEST, DriftCheck, UnexplainedMotion
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import LabLimits
 
@@ -299,7 +299,7 @@ def random_changes(rng, moments, robots, noise):
     left = rng.normal(size=(moments, robots, 40))
     squares = np.einsum("gnbp,gnbq->gnpq", columns, columns)
     pulls = np.einsum("gnbp,gnb->gnp", columns, left)
-    return Changes(squares, pulls, noise[:, None])
+    return UnexplainedMotion(squares, pulls, noise[:, None])
 
 
 def test_the_shift_of_all_robots_is_that_of_least_squares_weighted_by_their_noise():
@@ -339,7 +339,7 @@ def test_poses_move_as_a_picture_that_shifts_turns_and_grows(mm):
     pose = Pose(300.0 / mm, -200.0 / mm, 0.7)
     dt_s = 0.04
     rates = np.array([11.0, -7.0, 0.3, 0.05])
-    moves = bare_check(mm=mm)._picture_moves([pose, pose], np.array([dt_s, 2 * dt_s]))
+    moves = bare_check(mm=mm)._compute_image_motion([pose, pose], np.array([dt_s, 2 * dt_s]))
     place = np.array([300.0, -200.0])
     turned = rates[2] * np.array([-place[1], place[0]])
     moved = (rates[:2] + turned + rates[3] * place) * dt_s

@@ -39,7 +39,7 @@ RULES = GuardRules(
     arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
     limits=LabLimits(),
 )
-GOES_ON = replace(RULES, goes_on=True)
+GOES_ON = replace(RULES, may_lose_robots=True)
 """Rules of a run that goes on without a robot that is lost."""
 PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))
 GREEN_UNSEEN = (None, PLACES[1])
@@ -84,7 +84,7 @@ class Course:
     def frames(self, count, poses=PLACES):
         for _ in range(count):
             ruling = self.frame(poses)
-            self.guard.note_direction(self.now_ns)
+            self.guard.record_direction(self.now_ns)
         return ruling
 
 
@@ -112,7 +112,7 @@ def begun_with_checks(*checks, rules=GOES_ON):
 def test_a_robot_that_may_be_faster_does_not_jump():
     course = running(replace(RULES, speeds=(2000.0, 100.0)))
     course.frame((Pose(540.0, 500.0, 0.3), PLACES[1]))  # 40 mm in 8 ms: 5 m/s
-    assert course.guard.refused[0] != "its pose jumped"
+    assert course.guard.refusal_reasons[0] != "its pose jumped"
 
 
 def test_nothing_moves_before_go():
@@ -188,7 +188,7 @@ def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_o
     """Regression: before a camera at 6 Hz robots were stopped and let go for ever."""
     course = running()
     for _ in range(60):
-        course.guard.note_direction(course.now_ns)
+        course.guard.record_direction(course.now_ns)
         course.frame(step=period_ms * MS)
     assert (course.guard.state is not GuardState.ABORT) == goes_on, course.guard.reason
 
@@ -199,14 +199,14 @@ def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_l
     course = running(GOES_ON, checks_of=checks_of)
     guard = course.guard
     ruling = course.frames(UNTIL_LOST, GREEN_UNSEEN)
-    assert list(guard.lost) == [0]
+    assert list(guard.lost_robots) == [0]
     assert ruling.moving == (together, True)
     assert ruling.state is GuardState.RUN
     course.frames(5)  # it is there again
-    assert course.accepted.fresh == (False, True)
+    assert course.accepted.is_fresh == (False, True)
     guard.replace_robot(0)
     assert course.frames(5).state is GuardState.RUN
-    assert course.accepted.fresh == (True, True)
+    assert course.accepted.is_fresh == (True, True)
     course.frames(UNTIL_LOST, GREEN_UNSEEN)
     course.frames(UNTIL_LOST, (None, None))
     assert guard.state is GuardState.ABORT
@@ -233,7 +233,7 @@ def test_the_pose_in_the_frame_whose_loss_ends_the_run_is_compared_with_its_comm
     writes = Writes()
     course = begun_with_checks(writes)
     course.frames(UNTIL_LOST, GREEN_UNSEEN)
-    assert list(course.guard.lost) == [0]
+    assert list(course.guard.lost_robots) == [0]
     writes.asked.clear()
     late_ns = course.now_ns + 300 * MS  # blue, the last robot, is unseen for as long as loses it
     back = replace(PLACES[1], x=PLACES[1].x + 1.0)
@@ -317,12 +317,12 @@ class Drive:
             green = see(self.noisy(self.green))
             blue = None if self.blue is None else self.noisy(self.blue)
             self.course.frame((green, blue))
-            guard.note_direction(self.course.now_ns)
+            guard.record_direction(self.course.now_ns)
         return guard
 
     def transmit(self, speed, turning):
         """Tell the guard that green was sent these, and blue to stand."""
-        self.course.guard.note_transmission(self.course.now_ns, (speed, 0.0), (turning, 0.0))
+        self.course.guard.record_transmission(self.course.now_ns, (speed, 0.0), (turning, 0.0))
 
     def move_green(self):
         """Let green do for the time of a frame what it does."""
@@ -361,10 +361,10 @@ def test_a_robot_that_does_otherwise_than_commanded_ends_the_run_by_name(done, t
 
 
 def test_a_run_that_goes_on_leaves_out_a_robot_that_does_not_move():
-    drive = Drive(done=(0.0, 0.0, 0.0), goes_on=True)
+    drive = Drive(done=(0.0, 0.0, 0.0), may_lose_robots=True)
     guard = drive.go(1.5)
     assert guard.state is not GuardState.ABORT
-    assert list(guard.lost) == [0]
+    assert list(guard.lost_robots) == [0]
     assert not drive.course.frame((PLACES[0], drive.blue)).moving[0]
 
 
@@ -397,7 +397,7 @@ def test_a_robot_is_stopped_before_the_arena_or_an_obstacle(obstacles, edge_x, a
 
 
 def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
-    drive = Drive(blue=Pose(900.0, 620.0, 2.0), goes_on=True)
+    drive = Drive(blue=Pose(900.0, 620.0, 2.0), may_lose_robots=True)
     drive.go(0.1)
     drive.blue = None
     assert drive.go(3.0).reason.startswith("green and blue are too close")
@@ -405,18 +405,18 @@ def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
 
 def test_limits_in_millimetres_hold_in_the_units_of_the_spec():
     places = (Pose(50.0, 50.0, 0.3), Pose(50.0, 150.0, -2.0))
-    course = running(replace(RULES, mm=10.0, speeds=(20.0, 10.0)), places)
+    course = running(replace(RULES, mm_per_unit=10.0, speeds=(20.0, 10.0)), places)
     course.frame((Pose(54.0, 50.0, 0.3), places[1]))  # 40 mm in 8 ms
-    assert course.guard.refused == ("its pose jumped", "")
+    assert course.guard.refusal_reasons == ("its pose jumped", "")
 
 
 def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():
     drive = Drive()
     drive.go(0.6)
     guard = drive.go(5 / FRAMES_A_SECOND, lambda pose: replace(pose, y=pose.y + 25.0))
-    assert guard.refusals == 5
+    assert guard.refusal_count == 5
     drive.go(1.0)
-    assert (guard.state, guard.refusals) == (GuardState.RUN, 5)
+    assert (guard.state, guard.refusal_count) == (GuardState.RUN, 5)
 
 
 def with_noise(pose, k):
@@ -462,9 +462,9 @@ def test_a_noisy_camera_that_freezes_after_the_run_shows_no_robot_at_rest():
     course.guard.end_run()
     frozen = [with_noise(pose, 60) for pose in PLACES]
     course.frame(frozen)
-    assert course.accepted.fresh == (True, True)
+    assert course.accepted.is_fresh == (True, True)
     course.frame(frozen)
-    assert course.accepted.fresh == (False, False)
+    assert course.accepted.is_fresh == (False, False)
 
 
 @pytest.mark.parametrize(
@@ -548,7 +548,7 @@ def test_the_computer_is_named_first_where_no_frame_came_after_late_steps(late):
     course.guard.record_step(was_late=late)
     for _ in range(5):
         course.now_ns += SECOND // 10
-        course.guard.note_direction(course.now_ns)
+        course.guard.record_direction(course.now_ns)
         course.tick()
     assert course.guard.reason == BUSY_BEFORE * late + "no new camera frame for 0.50 s"
 
@@ -619,7 +619,7 @@ class GuardMachine(RuleBasedStateMachine):
         for _ in range(count):
             self.now += FRAME
             self.see(PLACES[0], PLACES[1], 0, "")
-            self.guard.note_direction(self.now)
+            self.guard.record_direction(self.now)
             self.decide(0, None)
 
     @rule(ms=st.integers(0, 700))
@@ -691,7 +691,7 @@ def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_
             course.guard.end_run()
             course.frames(30)
             course.guard.start_run(course.now_ns)
-            fits.append(course.guard.drift.blocks)
+            fits.append(course.guard.drift.block_count)
     assert "green is seen too rarely" in course.guard.reason
     assert course.now_ns - began < 4 * SECOND
     assert fits == sorted(set(fits))  # each stretch adds to the fit
@@ -704,7 +704,7 @@ def walk(step_mm, course, frames=40):
     for _ in range(frames):
         x += step_mm
         course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
-        course.guard.note_direction(course.now_ns)
+        course.guard.record_direction(course.now_ns)
         if course.guard.state is GuardState.ABORT:
             break
         believed = course.accepted.poses[0].x - PLACES[0].x
@@ -727,13 +727,13 @@ def test_a_heading_that_walks_is_not_believed_for_long():
     for _ in range(20):
         heading += 0.6
         course.frame((Pose(500.0, 500.0, heading), PLACES[1]))
-    assert course.guard.refusals >= 18
+    assert course.guard.refusal_count >= 18
 
 
 def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
     """Regression: every turn at 20 Hz, which lasts 0.55 s, ended the trial."""
     course = running(replace(RULES, silence_ns=500 * MS))
-    course.guard.note_direction(course.now_ns, ahead=False)
+    course.guard.record_direction(course.now_ns, ahead=False)
     began = course.now_ns
     while course.now_ns - began < 990 * MS:
         assert course.frame().moving == (True, True)
@@ -742,7 +742,7 @@ def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
     assert (ruling.state, ruling.moving) == (GuardState.HOLD, (False, False))
     for _ in range(5):
         course.guard.record_step(True)
-    course.guard.note_direction(course.now_ns)
+    course.guard.record_direction(course.now_ns)
     assert course.frame().moving == (True, True)
     for _ in range(63):
         course.frame()
@@ -750,7 +750,7 @@ def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
 
 
 def test_a_run_that_goes_on_ends_where_a_robot_drives_backward():
-    guard = Drive(done=(-200.0, 0.0, 0.0), goes_on=True).go(0.7)
+    guard = Drive(done=(-200.0, 0.0, 0.0), may_lose_robots=True).go(0.7)
     assert guard.state is GuardState.ABORT
 
 
@@ -762,7 +762,13 @@ def test_a_drift_is_the_same_in_every_unit():
         motions = SimpleNamespace()
         limits = LabLimits(wheel_error=0.12)
         rules = GuardRules(
-            ("green",), (200.0 / mm,), (6.0,), RULES.arena, limits, mm=mm, wheel_radius=40.0 / mm
+            ("green",),
+            (200.0 / mm,),
+            (6.0,),
+            RULES.arena,
+            limits,
+            mm_per_unit=mm,
+            wheel_radius=40.0 / mm,
         )
         check = DriftCheck(rules, motions)
         seen_rates = np.array([[210.0 / mm, 3.0 / mm, 1.02]])
@@ -771,7 +777,7 @@ def test_a_drift_is_the_same_in_every_unit():
             check.record_transmission(now_ns, (200.0 / mm,), (1.0,))
             motions.travelled = seen_rates * t
             check.check_frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),))
-        return check.worst
+        return check.worst_statistic
 
     assert worst_drift(mm=1.0) == pytest.approx(worst_drift(mm=1000.0))
     assert worst_drift(mm=1.0) != 0.0
@@ -800,11 +806,11 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     drive.go(0.6)
     guard = drive.go(0.3, see)
     assert guard.state is GuardState.ABORT
-    refused = guard.refusals
+    refused = guard.refusal_count
     drive.go(3.0, see)
-    assert guard.refusals == refused + 3 * FRAMES_A_SECOND
+    assert guard.refusal_count == refused + 3 * FRAMES_A_SECOND
     drive.go(1.0)  # the robot itself: no sensor knows
-    assert guard.refusals == refused + 4 * FRAMES_A_SECOND
+    assert guard.refusal_count == refused + 4 * FRAMES_A_SECOND
 
 
 @pytest.mark.parametrize(
@@ -825,7 +831,7 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
 def test_what_a_check_of_a_list_finds_takes_effect_at_once(finding, state, moving, lost, warnings):
     course = begun_with_checks(Finds(finding))
     ruling = course.frame()
-    assert (ruling.state, ruling.moving, list(course.guard.lost)) == (state, moving, lost)
+    assert (ruling.state, ruling.moving, list(course.guard.lost_robots)) == (state, moving, lost)
     assert course.guard.reason == ("three" if state is GuardState.ABORT else "")
     assert ruling.warnings == warnings
 
@@ -834,11 +840,11 @@ def test_a_body_in_place_of_a_ghost_is_no_ghost():
     """Regression: the poses of the new body were refused for what the old one had done."""
     course = begun_with_checks(Finds(Abort("green drifts", (0,))))
     course.frames(2)
-    assert course.guard.refused == ("green drifts", "")
+    assert course.guard.refusal_reasons == ("green drifts", "")
     course.guard.lose_robot(0, "green has divided")
     course.guard.replace_robot(0)
     course.frame()
-    assert course.accepted.fresh == (True, True)
+    assert course.accepted.is_fresh == (True, True)
 
 
 def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
@@ -857,4 +863,4 @@ def test_after_an_abort_no_robot_is_lost_any_more():
     course = begun_with_checks(aborts, loses)
     ruling = course.frame()
     assert (course.guard.reason, ruling.warnings) == ("the first", ())
-    assert course.guard.lost == {}
+    assert course.guard.lost_robots == {}

@@ -86,8 +86,8 @@ class Play:
                 guard.pass_preflight()
             if k < 0:
                 continue
-            guard.note_direction(now_ns)
-            guard.note_transmission(now_ns, (SPEED, SPEED), (0.0, 0.0))
+            guard.record_direction(now_ns)
+            guard.record_transmission(now_ns, (SPEED, SPEED), (0.0, 0.0))
             ruling = guard.decide(now_ns)
             if ruling is not None:
                 self.rulings.append(ruling)
@@ -140,9 +140,9 @@ def test_a_frozen_pose_is_refused_in_observe_mode_as_it_is_not_fresh():
 def test_a_camera_that_goes_silent_stops_all_in_observe_mode():
     play = Play(build_guard(RULES)).run(honest, 1)
     silent_ns = SECOND + 124 * FRAME_NS
-    play.guard.note_direction(silent_ns + SECOND // 10)
+    play.guard.record_direction(silent_ns + SECOND // 10)
     assert play.guard.decide(silent_ns + SECOND // 8).moving == (False, False)
-    play.guard.note_direction(silent_ns + SECOND // 2)
+    play.guard.record_direction(silent_ns + SECOND // 2)
     assert play.guard.decide(silent_ns + SECOND // 2).state is GuardState.ABORT
 
 
@@ -209,11 +209,11 @@ class ScriptedGuard:
 
     def __init__(self):
         self.state = GuardState.RUN
-        self.refused = ("", "")
+        self.refusal_reasons = ("", "")
         self.moving = (True, True)
         self.hidden = ()
-        self.lost = {}
-        self.tracks_all = True
+        self.lost_robots = {}
+        self.is_tracking_all = True
         self.reason = "too far"
         self.excess = None
         self.calls = []
@@ -222,7 +222,9 @@ class ScriptedGuard:
         return lambda *arguments: self.calls.append((name, *arguments))
 
     def refusal_excess(self, i):
-        return Excess("motion", 9.0, 5.0, "mm", i) if self.refused[i] == "it moves" else None
+        return (
+            Excess("motion", 9.0, 5.0, "mm", i) if self.refusal_reasons[i] == "it moves" else None
+        )
 
     def is_hidden(self, i):
         return i in self.hidden
@@ -264,7 +266,7 @@ def test_only_the_time_in_which_a_guard_decides_about_a_run_counts_as_watched():
 def test_a_pose_that_stays_refused_and_a_robot_that_stays_stopped_count_once():
     observer, guard = scripted()
     for k, (text, moves) in enumerate([("it moves", False), ("it moves", False), ("", True)] * 2):
-        guard.refused = ("", text)
+        guard.refusal_reasons = ("", text)
         guard.moving = (True, moves)
         observer.check_frame(k, CameraFrame(k, k, k, (None, None)))
         observer.decide(k)
@@ -293,7 +295,7 @@ def test_a_robot_that_stops_without_a_refused_pose_is_not_tracked_or_has_no_fram
 
 def test_a_lost_robot_that_stops_is_not_reported_again():
     observer, guard = scripted()
-    guard.lost, guard.moving = {0: 3}, (False, True)
+    guard.lost_robots, guard.moving = {0: 3}, (False, True)
     observer.decide(5)
     assert noted(observer) == []
 
@@ -307,7 +309,7 @@ def test_an_end_of_the_run_is_reported_and_a_new_guard_knows_what_was_sent_latel
 ):
     observer, guard = scripted()
     for t_s in (0, 1, 2, 3):
-        observer.note_transmission(t_s * SECOND, (t_s, 0.0), (0.0, 0.0))
+        observer.record_transmission(t_s * SECOND, (t_s, 0.0), (0.0, 0.0))
     assert [sent.sent_ns // SECOND for sent in observer._recent_commands] == [1, 2, 3]
     guard.state, guard.excess = GuardState.ABORT, excess
     observer.record_step(4 * SECOND, was_late=True)
@@ -320,17 +322,17 @@ def test_an_end_of_the_run_is_reported_and_a_new_guard_knows_what_was_sent_latel
 @pytest.mark.parametrize("tracks_all", [True, False])
 def test_a_new_guard_watches_once_it_sees_all_robots_with_the_last_direction(tracks_all):
     observer, guard = scripted()
-    observer.note_direction(2 * SECOND, ahead=False)
-    guard.state, guard.tracks_all = GuardState.READY, tracks_all
+    observer.record_direction(2 * SECOND, ahead=False)
+    guard.state, guard.is_tracking_all = GuardState.READY, tracks_all
     guard.calls.clear()
     observer.check_frame(3 * SECOND, CameraFrame(1, 0, 0, (None, None)))
-    started = [("start_run", 3 * SECOND), ("note_direction", 2 * SECOND, False)]
+    started = [("start_run", 3 * SECOND), ("record_direction", 2 * SECOND, False)]
     assert guard.calls[1:] == (started if tracks_all else [])
 
 
 def test_nothing_is_reported_of_frames_outside_a_run():
     observer, guard = scripted()
     observer.end_run()
-    guard.refused, guard.state = ("it moves", ""), GuardState.ABORT
+    guard.refusal_reasons, guard.state = ("it moves", ""), GuardState.ABORT
     observer.check_frame(5, CameraFrame(1, 0, 0, (None, None)))
     assert noted(observer) == []

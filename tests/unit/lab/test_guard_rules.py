@@ -14,7 +14,7 @@ SETUP = experiment(wheels={"radius": 40}).setup
 
 
 def rules(setup=SETUP, **limits):
-    return GuardRules.of(setup, LabLimits(**limits))
+    return GuardRules.from_setup(setup, LabLimits(**limits))
 
 
 def test_robots_and_arena_are_those_of_the_spec():
@@ -29,14 +29,14 @@ def test_robots_and_arena_are_those_of_the_spec():
 @pytest.mark.parametrize(("metres", "mm"), [(0.001, 1.0), (1.0, 1000.0), (1e-6, 0.001)])
 def test_a_length_unit_has_so_many_millimetres(metres, mm):
     made = rules(replace(SETUP, metres=metres))
-    assert made.mm == pytest.approx(mm)
-    assert made.largest_error == pytest.approx(NOISE_MM / mm)
+    assert made.mm_per_unit == pytest.approx(mm)
+    assert made.position_error_max == pytest.approx(NOISE_MM / mm)
 
 
 def test_the_largest_error_is_noise_and_what_the_camera_states():
     sight = Sight(grid_mm=3.0, noise_mm=0.5)
-    made = replace(rules(), sight=sight, mm=2.0)
-    assert made.largest_error == pytest.approx((NOISE_MM + sight.largest_error_mm) / 2)
+    made = replace(rules(), sight=sight, mm_per_unit=2.0)
+    assert made.position_error_max == pytest.approx((NOISE_MM + sight.largest_error_mm) / 2)
 
 
 @pytest.mark.parametrize(
@@ -60,11 +60,11 @@ def test_obstacles_are_grown_by_the_radius_of_a_body():
 
 def test_a_run_goes_on_without_a_robot_only_if_the_spec_says_so():
     keep = experiment(on_loss={"type": "keep-going"}).setup if False else SETUP
-    assert rules(replace(keep, loss=None)).goes_on is False
+    assert rules(replace(keep, loss=None)).may_lose_robots is False
 
     class Loss:
         def __init__(self, ends):
             self.ends = ends
 
-    assert rules(replace(keep, loss=Loss(ends=True))).goes_on is False
-    assert rules(replace(keep, loss=Loss(ends=False))).goes_on is True
+    assert rules(replace(keep, loss=Loss(ends=True))).may_lose_robots is False
+    assert rules(replace(keep, loss=Loss(ends=False))).may_lose_robots is True

@@ -370,8 +370,8 @@ def test_the_guard_knows_the_directions_by_which_robots_turn_before_a_run():
     idle.plant.open()
     noted = []
     loop = idle.plant.rig.loop
-    loop.guard.note_transmission = lambda *sent: noted.append(sent)
-    loop.idle = lambda now_ns: 1.0
+    loop.guard.record_transmission = lambda *sent: noted.append(sent)
+    loop.idle_direction = lambda now_ns: 1.0
     wait_a_second(idle)
     assert len(noted) > 5
     assert all(time_ns > 0 and len(speed) == len(turning) == 3 for time_ns, speed, turning in noted)

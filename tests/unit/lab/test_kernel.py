@@ -135,8 +135,8 @@ def test_nobody_moves_by_a_frame_that_is_older_than_stale():
 
 def test_robots_that_turn_wait_for_a_direction_longer_than_robots_that_drive_but_not_for_ever():
     """Driving, the limit is `silence_ns`, 2 s; turning, half a second comes on top."""
-    ahead = ControlPace(ahead=True)
-    turning = ControlPace(ahead=False)
+    ahead = ControlPace(drives_ahead=True)
+    turning = ControlPace(drives_ahead=False)
     assert check_direction(RULES, ahead, 2 * SECOND) is not None
     assert check_direction(RULES, turning, 9 * SECOND) is None
     still_ns = RULES.silence_ns + SECOND
@@ -147,9 +147,9 @@ def test_an_age_at_its_limit_counts_as_too_old():
     assert check_tracking(RULES, 0, 299_999_999) is None
     assert check_tracking(RULES, 0, 300_000_000).value == 0.3
     assert (
-        check_program(RULES, ControlPace(ticked_ns=None), 9 * SECOND) is None
+        check_program(RULES, ControlPace(last_step_ns=None), 9 * SECOND) is None
     )  # nothing was decided yet
-    assert check_program(RULES, ControlPace(ticked_ns=0), SECOND // 2).limit == 0.5
+    assert check_program(RULES, ControlPace(last_step_ns=0), SECOND // 2).limit == 0.5
 
 
 @given(
@@ -161,7 +161,7 @@ def test_an_age_counts_from_what_was_last_done(since_ns, age_ns, limit_s):
     limits = LabLimits(stream_lost=limit_s, untracked_abort=limit_s)
     rules = replace(RULES, limits=limits, silence_ns=round(limit_s * SECOND))
     now_ns = since_ns + age_ns
-    pace = ControlPace(ticked_ns=since_ns, directed_ns=since_ns)
+    pace = ControlPace(last_step_ns=since_ns, last_direction_ns=since_ns)
     found = {
         "program": check_program(rules, pace, now_ns),
         "direction": check_direction(rules, pace, now_ns),
@@ -186,15 +186,15 @@ def test_robots_move_by_fresh_frames_and_turn_for_a_while_without_a_direction(
 ):
     now_ns = frame_ns + age_ns
     fresh = age_ns <= RULES.limits.stale * SECOND
-    assert may_move(RULES, ControlPace(ahead=True), frame_ns, now_ns) == fresh
-    turning = ControlPace(ahead=False, directed_ns=now_ns - waited_ns)
+    assert may_move(RULES, ControlPace(drives_ahead=True), frame_ns, now_ns) == fresh
+    turning = ControlPace(drives_ahead=False, last_direction_ns=now_ns - waited_ns)
     waits = waited_ns < PAUSE_S * SECOND + RULES.silence_ns
     assert may_move(RULES, turning, frame_ns, now_ns) == (fresh and waits)
 
 
 IN_METRES = replace(
     RULES,
-    mm=1000.0,
+    mm_per_unit=1000.0,
     speeds=(0.2,),
     arena=Bounds(0.0, 0.0, 1.0, 1.0),
     names=("green", "blue", "red"),

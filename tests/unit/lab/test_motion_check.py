@@ -150,7 +150,7 @@ def drive(
         dx, dy, turned = random.normal(0, 1.0, 3) * NOISE
         pose = Pose(pose.x + dx, pose.y + dy, pose.heading + turned)
         check.record_exposures((now_ns,))
-        fault = None if before is None else check.take_pose(0, before, pose)
+        fault = None if before is None else check.compare_pose(0, before, pose)
         if fault is not None:
             return Fault(fault.text, t)
         before = pose
@@ -226,7 +226,7 @@ def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
     faults = []
     for now in range(20 * SEND, 40 * SEND, FRAME):
         check.record_exposures((now,))
-        faults.append(check.take_pose(0, stands, stands))
+        faults.append(check.compare_pose(0, stands, stands))
     assert {fault and fault.text for fault in faults} == {None, DOES_NOT_MOVE}
 
 
@@ -257,7 +257,7 @@ def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
     check.record_exposures((last_ns,))
     for now_ns in range(last_ns + FRAME, 2 * SECOND, FRAME):
         check.record_exposures((now_ns,))
-        assert check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)) is None
+        assert check.compare_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)) is None
 
 
 def refused_repeats(seen_as, goes_ns, rests_ns, *, ends=NEVER_S, delay=0.25):
@@ -278,7 +278,7 @@ def refused_repeats(seen_as, goes_ns, rests_ns, *, ends=NEVER_S, delay=0.25):
         pose = seen_as(robot.pose)
         check.record_exposures((now_ns,))
         if pose != before:
-            assert check.take_pose(0, before, pose) is None
+            assert check.compare_pose(0, before, pose) is None
             before = pose
         elif list(check.check_repeat(0)):
             refused.append(now_ns / SECOND)
@@ -309,7 +309,7 @@ def test_a_gap_in_the_frames_is_bridged():
         turned = 3 * t
         pose = Pose(60 * math.sin(turned), 60 * (1 - math.cos(turned)), turned)
         check.record_exposures((round(t * SECOND),))
-        assert check.take_pose(0, before or pose, pose) is None
+        assert check.compare_pose(0, before or pose, pose) is None
         before = pose
 
 
@@ -328,7 +328,7 @@ def test_a_cell_has_no_drive(radius, part):
     for now_ns in range(2 * FRAME, 2 * SECOND, FRAME):
         check.record_transmission(now_ns, [SPEED], [2.0])
         check.record_exposures((now_ns,))
-        faults.append(check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)))
+        faults.append(check.compare_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)))
     first_fault = next(filter(None, faults))
     assert part in first_fault.text
 
@@ -414,17 +414,17 @@ def test_a_motion_that_no_command_explains_is_described_by_its_first_reason(
 def test_a_standing_robot_may_be_off_by_its_slack_and_noise_in_any_unit(mm, off_mm, refused):
     """The slack is 0.03 s at 180 mm/s, and the noise is 2 mm."""
     rules = GuardRules(
-        ("one",), (SPEED / mm,), (A,), ARENA, LabLimits(), wheel_radius=40 / mm, mm=mm
+        ("one",), (SPEED / mm,), (A,), ARENA, LabLimits(), wheel_radius=40 / mm, mm_per_unit=mm
     )
     for angle in np.arange(4) * math.pi / 2:
         check = MotionCheck(rules, 2.0 / mm, 0.12)
         before = Pose(900.0 / mm, 800.0 / mm, 0.0)
         check.record_exposures((FRAME,))
-        assert check.take_pose(0, before, before) is None
+        assert check.compare_pose(0, before, before) is None
         check.record_exposures((2 * FRAME,))
         off = off_mm / mm
         pose = Pose(before.x + off * math.cos(angle), before.y + off * math.sin(angle), 0.0)
-        fault = check.take_pose(0, before, pose)
+        fault = check.compare_pose(0, before, pose)
         assert (fault is not None) is refused
         if refused:
             assert abs(fault.excess.value) == pytest.approx(off_mm)
@@ -440,9 +440,9 @@ def test_a_standing_robot_may_turn_by_its_slack_and_twice_the_error_of_a_heading
         check = MotionCheck(rules, 2.0, 0.12)
         before = Pose(900.0, 800.0, 0.0)
         check.record_exposures((FRAME,))
-        check.take_pose(0, before, before)
+        check.compare_pose(0, before, before)
         check.record_exposures((2 * FRAME,))
-        fault = check.take_pose(0, before, Pose(900.0, 800.0, sign * off_rad))
+        fault = check.compare_pose(0, before, Pose(900.0, 800.0, sign * off_rad))
         assert (fault is not None) is refused
 
 

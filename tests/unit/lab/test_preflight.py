@@ -231,7 +231,7 @@ def placed_rig(poses, mm=1.0, **limits):
     frame = CameraFrame(1, 0, 0, tuple(poses))
     seen = AcceptedFrame(frame, frame.poses, tuple(pose is not None for pose in poses))
     return SimpleNamespace(
-        mm=mm,
+        mm_per_unit=mm,
         limits=LabLimits(**limits),
         setup=SimpleNamespace(names=("green", "blue")[:count], starts=starts),
         loop=SimpleNamespace(frames=SimpleNamespace(newest=seen)),

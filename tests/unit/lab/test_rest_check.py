@@ -293,8 +293,8 @@ class SeenRig:
     """Stands for a lab whose camera has shown robots at these poses, one frame every 10 ms."""
 
     def __init__(self, poses_of, mm=1.0, robots=1, frames=101, since_s=0.0):
-        self.mm = mm
-        self.left = range(robots)
+        self.mm_per_unit = mm
+        self.remaining_robots = range(robots)
         self.setup = SimpleNamespace(names=("green", "blue", "red")[:robots])
         self.limits = LabLimits()
         buffer = FrameBuffer()

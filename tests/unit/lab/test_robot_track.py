@@ -76,7 +76,7 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
             break
         robot.accept(pose, now_ns)
     spacing_s = 0.02
-    creeps_s = (robot.last_ns - since_ns) / SECOND
+    creeps_s = (robot.last_pose_ns - since_ns) / SECOND
     assert robot.last_pose.x <= 200.0 * (creeps_s + spacing_s) + 30.0
 
 
@@ -135,7 +135,7 @@ def test_a_floor_out_of_level_is_followed_from_run_to_run():
 
 
 def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
-    metres = replace(RULES, speeds=(0.1,), mm=1000.0)
+    metres = replace(RULES, speeds=(0.1,), mm_per_unit=1000.0)
     robot = started([0.06], metres)
     assert robot.find_refusal(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, is_driving=True) is None
     assert (
@@ -152,7 +152,7 @@ AT_START = Pose(0.0, 0.0, 0.0)
 
 
 def test_a_pose_is_new_unless_it_has_its_own_time_which_is_not_later():
-    robot = track(last_pose=AT_START, last_ns=10)
+    robot = track(last_pose=AT_START, last_pose_ns=10)
     for read_ns, own_times, is_new in [
         (20, True, True),
         (20, True, False),
@@ -163,26 +163,28 @@ def test_a_pose_is_new_unless_it_has_its_own_time_which_is_not_later():
     ]:
         robot.record_times(100, read_ns, own_times)
         assert robot.is_new is is_new
-        assert (robot.newest_ns, robot.read_ns) == (100, read_ns)
+        assert (robot.newest_frame_ns, robot.newest_pose_ns) == (100, read_ns)
 
 
 def test_a_robot_must_stop_once_it_was_unseen_for_longer_than_the_limit():
     limit_ns = round(UNTRACKED_STOP_S * SECOND)
     for untracked_ns, hidden in [(limit_ns, False), (limit_ns + 1, True)]:
-        robot = track(last_pose=AT_START, last_ns=SECOND, newest_ns=SECOND + untracked_ns)
-        assert (robot.hidden, robot.tracked) == (hidden, not hidden)
+        robot = track(
+            last_pose=AT_START, last_pose_ns=SECOND, newest_frame_ns=SECOND + untracked_ns
+        )
+        assert (robot.is_hidden, robot.is_tracked) == (hidden, not hidden)
         assert robot.untracked_ns == untracked_ns
-    assert not track().tracked, "before its first pose"
+    assert not track().is_tracked, "before its first pose"
     lost = track(last_pose=AT_START, lost_ns=0)
-    assert lost.lost and not lost.tracked
-    assert not track().lost
+    assert lost.is_lost and not lost.is_tracked
+    assert not track().is_lost
 
 
 def test_a_robot_that_is_not_tracked_is_named_with_the_reason_and_the_time():
-    robot = track(last_ns=SECOND, newest_ns=3 * SECOND // 2)
-    assert robot.untracked_text == "one is not tracked (0.50 s)"
-    robot.decision = PoseDecision(refused="its pose jumped")
-    assert robot.untracked_text == "one is not tracked: its pose jumped (0.50 s)"
+    robot = track(last_pose_ns=SECOND, newest_frame_ns=3 * SECOND // 2)
+    assert robot.untracked_message == "one is not tracked (0.50 s)"
+    robot.decision = PoseDecision(refusal="its pose jumped")
+    assert robot.untracked_message == "one is not tracked: its pose jumped (0.50 s)"
 
 
 def test_time_unseen_adds_up_and_a_quarter_of_the_time_seen_is_forgiven():
@@ -191,8 +193,8 @@ def test_time_unseen_adds_up_and_a_quarter_of_the_time_seen_is_forgiven():
     robot.start_run()
     unseen_s = []
     for newest_s, last_s in [(1.05, 1.0), (1.5, 1.0), (2.0, 1.0), (3.0, 3.0), (9.0, 9.0)]:
-        robot.last_ns = round(last_s * SECOND)
-        robot.newest_ns = round(newest_s * SECOND)
+        robot.last_pose_ns = round(last_s * SECOND)
+        robot.newest_frame_ns = round(newest_s * SECOND)
         robot.count_absence(SECOND / 10)
         unseen_s.append(robot.unseen_ns / SECOND)
     # unseen from 1.1 s, when its last pose is stale, until 2 s; then seen again
@@ -205,22 +207,26 @@ def test_poses_are_remembered_for_a_second_and_a_fiftieth_apart():
     for k in range(400):
         robot.accept(AT_START, k * SECOND // 200)
     times_ns = [earlier.exposed_ns for earlier in robot._remembered]
-    assert (robot.last_pose, robot.last_ns) == (AT_START, 399 * SECOND // 200)
+    assert (robot.last_pose, robot.last_pose_ns) == (AT_START, 399 * SECOND // 200)
     gaps_ns = [after - before for before, after in pairwise(times_ns)]
     assert set(gaps_ns) == {JUMP_SPACING_NS}
-    assert robot.last_ns - times_ns[0] <= REMEMBERED_NS < robot.last_ns - times_ns[0] + gaps_ns[0]
+    assert (
+        robot.last_pose_ns - times_ns[0]
+        <= REMEMBERED_NS
+        < robot.last_pose_ns - times_ns[0] + gaps_ns[0]
+    )
 
 
 def test_a_run_starts_from_the_last_pose_because_robots_are_carried_before_it():
     robot = track()
     robot.accept(Pose(0.0, 0.0, 0.0), 0)
     robot.accept(Pose(900.0, 0.0, 0.0), SECOND // 10)
-    robot.decision = PoseDecision(refused="its pose jumped")
+    robot.decision = PoseDecision(refusal="its pose jumped")
     near = Pose(905.0, 0.0, 0.0)
     assert robot.find_refusal(near, SECOND // 5, is_driving=True) is not None
     robot.start_run()
     assert robot.find_refusal(near, SECOND // 5, is_driving=True) is None
-    assert robot.decision.refused == ""
+    assert robot.decision.refusal == ""
     assert robot.find_refusal(Pose(0.0, 0.0, 0.0), SECOND // 5, is_driving=True) is not None
 
 
@@ -242,14 +248,14 @@ def test_a_run_starts_from_the_last_pose_because_robots_are_carried_before_it():
 def test_a_body_is_upright_on_the_floor_whether_robots_drive_or_not(
     height, tilt, refused, driving, mm
 ):
-    robot = RobotTrack("one", replace(RULES, mm=mm), 0)
+    robot = RobotTrack("one", replace(RULES, mm_per_unit=mm), 0)
     pose = Pose(0.0, 0.0, 0.0, None if height is None else height / mm, tilt)
     refusal = robot.find_refusal(pose, 0, driving)
     assert (refused in refusal.text) if refused else refusal is None
 
 
 def test_a_robot_whose_pose_is_a_ghosts_is_refused_whatever_it_shows():
-    robot = track(ghost="its pose moves by itself")
+    robot = track(ghost_reason="its pose moves by itself")
     assert robot.find_refusal(AT_START, 0, is_driving=False).text == "its pose moves by itself"
 
 

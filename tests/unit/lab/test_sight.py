@@ -138,8 +138,8 @@ class Mat:
             self.guard.start_run(self.now_ns)
         if self.now_ns > START_NS - RADIO_NS:
             speeds = [self.speed, self.speed]
-            self.guard.note_transmission(self.now_ns, speeds, self.turning(self.now_ns))
-            self.guard.note_direction(self.now_ns)
+            self.guard.record_transmission(self.now_ns, speeds, self.turning(self.now_ns))
+            self.guard.record_direction(self.now_ns)
         self.ruling = self.guard.decide(self.now_ns)
 
     def shown(self):
@@ -160,7 +160,7 @@ def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
     mat = Mat(swing=0.5, speed=60.0)
     guard = mat.go(6.0)
     assert guard.state is GuardState.RUN, guard.reason
-    assert guard.refusals == 0
+    assert guard.refusal_count == 0
     assert mat.repeats > 100
 
 
@@ -169,9 +169,9 @@ def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
     mat.go(2.0)
     mat.frozen = True
     frozen_ns = mat.now_ns
-    while not mat.guard.refused[0]:
+    while not mat.guard.refusal_reasons[0]:
         mat.go(0.01)
-    assert mat.guard.refused[0] == POSE_REPEATS
+    assert mat.guard.refusal_reasons[0] == POSE_REPEATS
     diagonal_mm = math.sqrt(2) * MAT.grid_mm
     way_mm = diagonal_mm + SLACK_S * RULES.speeds[0]
     step_ms = 1000 * way_mm / (60.0 * (1 - LabLimits().wheel_error))
@@ -223,7 +223,7 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
 @pytest.mark.long
 def test_poses_that_repeat_are_refused_where_nothing_is_said_of_a_grid():
     mat = Mat(replace(RULES, sight=Sight()), swing=0.5, speed=60.0)
-    assert mat.go(6.0).refusals > 100
+    assert mat.go(6.0).refusal_count > 100
 
 
 @pytest.mark.long
@@ -232,7 +232,7 @@ def test_poses_30_ms_apart_do_not_abort_robots_that_turn_at_6_rad_s(sight):
     mat = Mat(replace(RULES, sight=sight), late=(0, 30 * MS), sight=sight)
     guard = mat.go(8.0)
     assert guard.state is GuardState.RUN, guard.reason
-    assert guard.refusals == 0
+    assert guard.refusal_count == 0
     assert mat.ruling.moving == (True, True)
 
 
@@ -276,9 +276,9 @@ def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_th
         return guard.check_frame(frame)
 
     for after_ms in range(3):
-        assert not show(after_ms * MS).fresh[0]
-    assert guard.refusals == 1
-    fault = guard.refused[0]
+        assert not show(after_ms * MS).is_fresh[0]
+    assert guard.refusal_count == 1
+    fault = guard.refusal_reasons[0]
     show(60 * MS)
     guard.decide(now_ns + 60 * MS)
     assert guard.reason == f"green {fault}"

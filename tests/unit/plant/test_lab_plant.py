@@ -150,7 +150,7 @@ def test_a_robot_that_counts_as_lost_for_its_camera_is_left_out_or_replaced(
     lab.plant.open()
     lab.plant.observe()
     texts = [note.text for note in lab.plant.events() if isinstance(note, Note)]
-    assert list(lab.plant.rig.loop.guard.lost) == lost
+    assert list(lab.plant.rig.loop.guard.lost_robots) == lost
     assert texts == says
 
 

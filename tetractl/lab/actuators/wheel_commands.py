@@ -19,9 +19,12 @@ from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import MM, Setup
 from tetractl.model.wheels import CountArray, Drivetrains, WheelHost
 
-AHEAD_NS = SECOND // 10  # longest time over which headings are predicted
-TRIES = 5  # number of polls: frames may be lost
-EMPTY_V = 4.0  # voltage of four cells below which motors would soon fail
+PREDICTION_MAX_NS = SECOND // 10
+"""Maximum time over which headings are predicted [ns]."""
+POLLS_MAX = 5
+"""Maximum number of polls until a robot counts as silent. Single polls and replies may be lost."""
+BATTERY_EMPTY_V = 4.0
+"""Voltage of four battery cells below which the motors would soon fail [V]."""
 
 
 class Status(IntFlag):
@@ -37,12 +40,12 @@ class Reply:
     """A robot's reply to a poll, with its state and battery voltage.
 
     Attributes:
-        id: Number of the robot.
-        sequence: Copied from the command that polled it.
-        status: Its status.
-        battery_mv: Voltage of its battery [mV]. 0 if unknown.
-        received: Number of frames with a right CRC, modulo 65536.
-        rejected: Number of frames with a wrong CRC, modulo 65536.
+        id: Index of the robot in commands.
+        sequence: Sequence number of the command that polled the robot.
+        status: The robot's status.
+        battery_mv: Voltage of the robot's battery [mV]. 0 if unknown.
+        received: Number of frames that the robot received with a right CRC, modulo 65536.
+        rejected: Number of frames that the robot received with a wrong CRC, modulo 65536.
     """
 
     id: int
@@ -61,15 +64,15 @@ class PolledLink(Protocol):
         """The reason why nothing can be sent any more. None while sending works."""
         ...
 
-    def ask(self) -> tuple[int, int]:
-        """Send a poll to all robots, and drop whatever has arrived before.
+    def send_poll(self) -> tuple[int, int]:
+        """Send a poll to all robots, and drop replies that have arrived before.
 
         Returns:
             The sequence number of the poll, and the time of sending [ns].
         """
         ...
 
-    def hear(self, timeout_s: float) -> Iterable[Reply]:
+    def receive_replies(self, timeout_s: float) -> Iterable[Reply]:
         """Return the replies received so far, or wait for one for at most `timeout_s` seconds.
 
         The result is empty if none arrives.
@@ -77,15 +80,15 @@ class PolledLink(Protocol):
         ...
 
 
-def polled(
+def poll_robots(
     link: PolledLink, indices: Sequence[int], clock: Clock, timeout_s: float, slot_ms: int
 ) -> list[Reply | None]:
-    """Poll robots until each of them has replied, at most TRIES times.
+    """Poll robots until each of them has replied, at most POLLS_MAX times.
 
     Robot i replies to a poll i slots later. A reply counts only if its sequence number belongs to
     one of these polls. A reply to an earlier command, or a reply from a device that did not receive
     this poll, says nothing about the present state. Time during which the computer slept counts as
-    one try. The function returns at once if the link has failed.
+    one poll. The function returns at once if the link has failed.
 
     Args:
         link: The connection to the robots.
@@ -97,52 +100,56 @@ def polled(
     Returns:
         The reply of each robot. None if it did not reply.
     """
-    replies = dict[int, Reply]()
-    wanted = set(indices)
+    reply_by_index = dict[int, Reply]()
+    awaited_indices = set(indices)
     sequences = set[int]()
     wait_ns = (max(indices) + 2) * slot_ms * MILLISECOND + SECOND // 10
-    tries_in_time = round(timeout_s * SECOND) // wait_ns
-    for _ in range(max(1, min(TRIES, tries_in_time))):
-        sequence, sent_ns = link.ask()
+    polls_in_time = round(timeout_s * SECOND) // wait_ns
+    for _ in range(max(1, min(POLLS_MAX, polls_in_time))):
+        sequence, sent_ns = link.send_poll()
         sequences.add(sequence)
-        until_ns = sent_ns + wait_ns
-        while not wanted <= replies.keys():
-            remaining_ns = until_ns - clock.now()
+        deadline_ns = sent_ns + wait_ns
+        while not awaited_indices <= reply_by_index.keys():
+            remaining_ns = deadline_ns - clock.now()
             if remaining_ns <= 0:
                 break
-            for reply in link.hear(remaining_ns / SECOND):
+            for reply in link.receive_replies(remaining_ns / SECOND):
                 if reply.sequence in sequences:
-                    replies[reply.id] = reply
+                    reply_by_index[reply.id] = reply
             if link.failure is not None:
                 break
-        if link.failure is not None or wanted <= replies.keys():
+        if link.failure is not None or awaited_indices <= reply_by_index.keys():
             break
-    return [replies.get(index) for index in indices]
+    return [reply_by_index.get(index) for index in indices]
 
 
 def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
     """Return the distance from each robot's wheels to its centre [mm], shape (N,).
 
-    An entry of `stated_mm` that is None stands for the spec's distance. The result is NaN for a
-    robot if neither is given.
+    Args:
+        setup: The constants of the experiment, with the distance for all robots.
+        stated_mm: Own distance of each robot [mm], N entries. None if the robot has none.
+
+    Returns:
+        The distances. NaN for a robot without a distance of its own, if the setup has none either.
     """
     radius = math.nan if setup.wheel_radius is None else setup.wheel_radius * setup.metres / MM
     return np.array([radius if stated is None else stated for stated in stated_mm])
 
 
 def wheels_by_speed(gain: Floats, speed_max: float) -> Drivetrains:
-    """Create the wheels of robots that are commanded by speeds, not by motor counts.
+    """Create the wheels of robots that are commanded by speeds instead of motor counts.
 
     Args:
-        gain: True speed for each unit that is sent, shape (2, N).
-        speed_max: Maximum speed that is sent, in the same unit.
+        gain: True speed per unit that is sent [mm/s], shape (2, N): left and right wheels.
+        speed_max: Maximum speed that is sent, in the unit that is sent.
     """
-    count = gain.shape[1]
+    n_robots = gain.shape[1]
     return Drivetrains(
         gain=gain,
-        dead_zone=np.zeros((2, count), dtype=np.int64),
-        limit=np.full(count, int(speed_max), dtype=np.int64),
-        swap=np.zeros(count, dtype=np.bool_),
+        dead_zone=np.zeros((2, n_robots), dtype=np.int64),
+        limit=np.full(n_robots, int(speed_max), dtype=np.int64),
+        swap=np.zeros(n_robots, dtype=np.bool_),
     )
 
 
@@ -176,12 +183,12 @@ class WheeledActuator(ABC):
         delay_ns: Time from sending a command to its arrival [ns].
         rate: Commands sent per second [Hz].
         ask: Polls the robots within a time [s]. None if they cannot answer.
-        warn_v: A battery below this voltage is low [V].
+        warn_v: Battery voltage below which the operator is warned [V].
     """
 
     halts = True
-    held: CountArray | None = None
-    """Outputs (2, N) that are sent instead of those for the action, during a calibration.
+    held_outputs: CountArray | None = None
+    """Wheel outputs that are sent instead of those for the action, during a calibration, (2, N).
 
     None to send the outputs for the action.
     """
@@ -236,39 +243,54 @@ class WheeledActuator(ABC):
     ) -> Transmission:
         """Send each robot the wheel speeds for an action; see `Actuator.send`.
 
-        If `held` is set, these outputs are sent instead. Robots that may not move get 0.
+        If `held_outputs` is set, these outputs are sent instead. Robots that may not move get 0.
+
+        Args:
+            action: The direction to drive in, or to turn to on the spot.
+            poses: Pose of each robot, N entries. None if it is untracked.
+            moving: Whether each robot may move, N entries.
+            exposed_ns: The time of the poses [ns].
         """
         may_move = np.array(moving, dtype=np.bool_)
-        if self.held is None:
-            outputs = self.outputs(self.wished(action, poses, exposed_ns), may_move)
+        if self.held_outputs is None:
+            outputs = self.outputs(self.compute_wheel_speeds(action, poses, exposed_ns), may_move)
         else:
-            outputs = self.held * may_move
+            outputs = self.held_outputs * may_move
         sent_ns, speeds = self._drive(outputs)
         return self._transmission(sent_ns, action, speeds, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot once, and return the transmission.
+        """Send one stop to every robot, and return the transmission.
 
-        If `emergency` is true, robots that can do so stay stopped until they are switched off.
+        Args:
+            emergency: Whether robots latch the stop, if they can: they then stay stopped until they
+                are switched off.
         """
         sent_ns = self._halt(emergency)
-        count = len(self.names)
-        zero_outputs = np.zeros((2, count), dtype=np.int64)
+        n_robots = len(self.names)
+        zero_outputs = np.zeros((2, n_robots), dtype=np.int64)
         zero_speeds = self._host.drivetrains.speeds(zero_outputs)
-        return self._transmission(sent_ns, Stop(), zero_speeds, (True,) * count)
+        return self._transmission(sent_ns, Stop(), zero_speeds, (True,) * n_robots)
 
-    def outputs(self, wished: Floats, may_move: Bools) -> CountArray:
-        """Convert wheel speeds (2, N) [mm/s] to outputs (2, N), in the actuator's own unit.
+    def outputs(self, wheel_speeds: Floats, may_move: Bools) -> CountArray:
+        """Convert wheel speeds to the outputs that are sent, in the actuator's own unit.
 
-        They are 0 for robots that may not move: `may_move` is False for them, shape (N,).
+        Args:
+            wheel_speeds: Wheel speeds, left and right, shape (2, N) [mm/s].
+            may_move: Whether each robot may move, shape (N,).
+
+        Returns:
+            The outputs, shape (2, N). 0 for robots that may not move.
         """
-        return self._host.counts(wished) * may_move
+        return self._host.counts(wheel_speeds) * may_move
 
-    def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
+    def compute_wheel_speeds(
+        self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
+    ) -> Floats:
         """Compute the wheel speeds (2, N) [mm/s] that an action requires, with `WheelHost`.
 
         Headings are predicted to the time when the command reaches the wheels, over at most
-        AHEAD_NS. Robots without a pose stand still.
+        PREDICTION_MAX_NS. Robots without a pose stand still.
 
         Args:
             action: The action.
@@ -276,15 +298,15 @@ class WheeledActuator(ABC):
             exposed_ns: The time of the poses [ns].
         """
         arrival_ns = self._clock.now() + self._delay_ns
-        since_ns = max(exposed_ns, arrival_ns - AHEAD_NS)
+        since_ns = max(exposed_ns, arrival_ns - PREDICTION_MAX_NS)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
-        drives = isinstance(action, Steer)
-        if drives and action.lag_s is not None:
+        is_driving = isinstance(action, Steer)
+        if is_driving and action.lag_s is not None:
             self._host.assume_lag(action.lag_s)
-        u = action.direction if drives else action.facing
-        wished = self._host.wished(heading, u, since_ns, arrival_ns, drives)
-        wished[:, [pose is None for pose in poses]] = 0.0
-        return wished
+        direction = action.direction if is_driving else action.facing
+        wheel_speeds = self._host.wished(heading, direction, since_ns, arrival_ns, is_driving)
+        wheel_speeds[:, [pose is None for pose in poses]] = 0.0
+        return wheel_speeds
 
     @abstractmethod
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
@@ -308,7 +330,8 @@ class WheeledActuator(ABC):
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state, for at most `timeout_s` seconds.
 
-        `answers` is None in the result if the robots cannot answer.
+        Returns:
+            The status of each robot. Its `answers` is None if the robots cannot answer.
         """
         if self._ask is None:
             return [RobotStatus(answers=None) for _ in self.names]
@@ -346,13 +369,13 @@ def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:
     if reply is None:
         problem = f"{name} does not answer: is the robot switched on, and is its index right?"
         return RobotStatus(False, problems=(problem,))
-    volts = reply.battery_mv / 1000 or None
-    battery_text = "" if volts is None else f"{name}'s battery has {volts:.2f} V"
+    battery_v = reply.battery_mv / 1000 or None
+    battery_text = "" if battery_v is None else f"{name}'s battery has {battery_v:.2f} V"
     if reply.status & Status.EMERGENCY_STOPPED:
         problem = f"{name} is emergency-stopped: switch it off and on again"
-        return RobotStatus(True, volts, (problem,))
-    if volts is not None and volts < EMPTY_V:
-        return RobotStatus(True, volts, (f"{battery_text}: charge it",))
+        return RobotStatus(True, battery_v, (problem,))
+    if battery_v is not None and battery_v < BATTERY_EMPTY_V:
+        return RobotStatus(True, battery_v, (f"{battery_text}: charge it",))
     return RobotStatus(
-        True, volts, (), (battery_text,) if volts is not None and volts < warn_v else ()
+        True, battery_v, (), (battery_text,) if battery_v is not None and battery_v < warn_v else ()
     )

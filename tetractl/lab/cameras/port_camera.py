@@ -16,9 +16,12 @@ from tetractl.lab.udp_port import SCHEME, open_port
 from tetractl.spec.section_abilities import Addressed
 from tetractl.tools.worker import drained
 
-ASKED = b"poses\n"
-FRAMES_WAITING_MAX = 1000  # frames
-PORT_BAUD = 115200  # of serial ports
+REQUEST = b"poses\n"
+"""The message that requests the stream of poses. It is sent once, when the camera is opened."""
+PENDING_FRAMES_MAX = 1000
+"""Maximum number of frames that wait to be fetched. Beyond it, the oldest frames are dropped."""
+PORT_BAUD = 115200
+"""Speed of serial ports [bits per second]."""
 
 
 class PortCamera(ABC):
@@ -36,7 +39,8 @@ class PortCamera(ABC):
         ports: Creates the port, such as one in memory. None for a port of this computer.
     """
 
-    connect_s = 3.0  # longest wait for the first frame
+    connect_s = 3.0
+    """Maximum time to wait for the first frame [s]."""
     hint = "does the camera's program run, and does it use this address?"
     emulated = False
 
@@ -54,11 +58,13 @@ class PortCamera(ABC):
         self._first_damaged = ""  # why the first damaged message could not be read
         self._clock = clock
         self._wake = wake
-        self._came = 0  # number of frames so far
-        self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
+        self._frame_count = 0  # number of frames so far
+        self._pending_frames = deque[CameraFrame](maxlen=PENDING_FRAMES_MAX)
         self._stamps = StampClock()
-        make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
-        self._port = make(section.address, PORT_BAUD, "the camera", clock, self._receive, self.hint)
+        create_port = ports or (open_port if section.address.startswith(SCHEME) else self.port)
+        self._port = create_port(
+            section.address, PORT_BAUD, "the camera", clock, self._receive, self.hint
+        )
 
     def port(self, *arguments: Any) -> SerialPort:
         """Create the port that receives the messages, with the arguments of `SerialPort`.
@@ -70,39 +76,46 @@ class PortCamera(ABC):
 
     @abstractmethod
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
-        """Decode a message to the pose of each robot of the setup. None if one is untracked.
+        """Decode a message to the poses of the setup's robots.
 
-        Raise any of UNREADABLE, such as ValueError or KeyError, if the message cannot be read. The
+        If the message cannot be read, raise any of UNREADABLE, such as ValueError or KeyError. The
         message is then counted as damaged.
+
+        Args:
+            message: The received bytes of one message.
+
+        Returns:
+            The pose of each robot, in the setup's order. None if a robot is untracked.
         """
 
     def stamp_s(self, message: bytes) -> float | None:
-        """Return when a message's image was exposed, on the camera's own clock with any zero [s].
+        """Return when the image of a message was exposed, on the camera's own clock [s].
 
-        None, the default, if the message does not say so. The fastest of the last 600 messages with
-        stamps is assumed to have taken `latency`. How much longer each other message took follows
-        from its stamp and its arrival.
+        The clock may have any zero. By default, the result is None, which means that the message
+        does not contain this time. tetractl assumes that the fastest of the last 600 messages with
+        stamps took `latency`. How much longer each other message took follows from its stamp and
+        its arrival.
         """
         return None
 
     def __enter__(self) -> Self:
-        """Open the port, request frames, and return once one has arrived.
+        """Open the port, request frames, and wait for the first frame.
 
         Raises:
-            AbortError: If none arrives.
+            AbortError: If no frame arrives.
         """
         self._port.open()
-        self._port.write(ASKED)
-        came = wait_for(self._clock, lambda: self._came > 0, self.connect_s)
-        if not came or self._port.failure:
+        self._port.write(REQUEST)
+        has_frame = wait_for(self._clock, lambda: self._frame_count > 0, self.connect_s)
+        if not has_frame or self._port.failure:
             self._port.close()
             if self._first_damaged:
-                many = (
+                problem = (
                     f"{self.damaged} messages came from the camera, but none could be "
                     "read; the first"
                 )
                 raise AbortError(
-                    f"{many}: {self._first_damaged}",
+                    f"{problem}: {self._first_damaged}",
                     "check that the method `poses` reads the format in which the camera sends its "
                     "messages",
                 )
@@ -118,28 +131,30 @@ class PortCamera(ABC):
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame received since the last call, oldest first."""
-        return drained(self._waiting)
+        return drained(self._pending_frames)
 
-    def _receive(self, data: bytes, at_ns: int) -> None:
+    def _receive(self, data: bytes, received_ns: int) -> None:
         """Convert a message to a frame with the time of its exposure.
 
         Empty data mean that the port has failed: the frame then has a fault and no poses.
         """
         fault = "" if data else self._port.failure or "the camera's port has failed"
-        robots = len(self.setup.names)
+        n_robots = len(self.setup.names)
         try:
-            poses = self.poses(data) if data else (None,) * robots
+            poses = self.poses(data) if data else (None,) * n_robots
             stamp_s = self.stamp_s(data) if data else None
-            if len(poses) != robots:
-                raise ValueError(f"{len(poses)} poses, not {robots}")
+            if len(poses) != n_robots:
+                raise ValueError(f"{len(poses)} poses, not {n_robots}")
         except UNREADABLE as error:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
         late_ns = 0
         if stamp_s is not None:
-            late_ns = self._stamps.late_ns(round(stamp_s * SECOND), at_ns)
-        exposed_ns = max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
-        self._came += 1
-        self._waiting.append(CameraFrame(self._came, exposed_ns, at_ns, poses, fault=fault))
+            late_ns = self._stamps.late_ns(round(stamp_s * SECOND), received_ns)
+        exposed_ns = max(0, received_ns - round(self.section.latency * SECOND) - late_ns)
+        self._frame_count += 1
+        self._pending_frames.append(
+            CameraFrame(self._frame_count, exposed_ns, received_ns, poses, fault=fault)
+        )
         self._wake()

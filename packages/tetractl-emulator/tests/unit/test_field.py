@@ -20,7 +20,7 @@ from tetractl_microscope.coils.driver import (
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import UsageError
-from tetractl.lab.cobs import Flag, Splitter
+from tetractl.lab.cobs import Flag, FrameSplitter
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 LAG_S = 0.004
@@ -69,7 +69,7 @@ class Driver:
             self.run(100)
 
     def replies(self):
-        splitter = Splitter()
+        splitter = FrameSplitter()
         frames = [frame for data, _ in self.written for frame in splitter.feed(data)]
         return [decode_reply(frame) for frame in frames]
 

@@ -18,7 +18,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
 )
 from tetractl.lab.actuators.wheel_commands import Reply, Status
-from tetractl.lab.cobs import Flag, encode, frame_with_crc
+from tetractl.lab.cobs import Flag, encode, encode_with_crc
 
 pytestmark = pytest.mark.slow
 
@@ -118,7 +118,7 @@ def damaged(rng):
             start = rng.randrange(len(frame) + 1)
             frame[start:] = rng.randbytes(rng.randint(1, 90))
         case 3:
-            frame = bytearray(frame_with_crc(random_content(rng))[:-1])
+            frame = bytearray(encode_with_crc(random_content(rng))[:-1])
         case 4:
             noise = rng.randbytes(rng.randrange(254))
             frame = bytearray(encode(noise)[:-1])

@@ -14,7 +14,7 @@ def test_robots_of_wheels_that_are_10_percent_off_end_their_trial():
     labs = []
     result = trial_of(labs.append, 364)
     assert result.outcome.complete, result.summary
-    assert labs[0].plant.rig.loop.guard.refusals == 0
+    assert labs[0].plant.rig.loop.guard.refusal_count == 0
 
 
 @pytest.mark.parametrize(

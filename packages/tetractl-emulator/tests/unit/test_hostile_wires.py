@@ -31,5 +31,9 @@ def test_good_conversations_come_through():
     with_poses = [stream for stream in streams if stream.newest and stream.newest.poses[0]]
     assert len(with_poses) == len(wire_targets.VERSIONS)
     assert all(stream.unit_mm == 1000 for stream in with_poses)
-    synced = [stream for stream in streams if stream.sync is not None and stream.sync.synced]
+    synced = [
+        stream
+        for stream in streams
+        if stream.clock_sync is not None and stream.clock_sync.is_synced
+    ]
     assert len(synced) == 4

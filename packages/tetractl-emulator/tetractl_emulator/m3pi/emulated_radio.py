@@ -22,7 +22,7 @@ from tetractl.lab.actuators.xbee.api_frames import (
     Decoder,
     encode,
 )
-from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
+from tetractl.lab.actuators.xbee.hardware import BAUD_RATES, ESCAPED_API_MODE
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import ActingFaults
@@ -96,8 +96,8 @@ class EmulatedRadio(RobotRadio):
         self._parameters = {
             b"HV": versions[0].to_bytes(2, "big"),
             b"VR": versions[1].to_bytes(2, "big"),
-            b"BD": BAUDS.index(baud).to_bytes(4, "big"),
-            b"AP": bytes((ESCAPED_FRAMES,)),
+            b"BD": BAUD_RATES.index(baud).to_bytes(4, "big"),
+            b"AP": bytes((ESCAPED_API_MODE,)),
         }
 
     def receive(self, data: bytes) -> None:

@@ -5,7 +5,7 @@ from random import Random
 from struct import Struct
 
 from tetractl.lab.cameras.optitrack import natnet, wire
-from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, layout_of
+from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, find_layout
 
 REQUESTED_VERSION = Struct("<?4B")
 """Layout of a request of a 4.x client: a flag (subscribed data only) and the wanted version."""
@@ -19,7 +19,7 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
     Raises:
         WireError: If the datagram is invalid.
     """
-    kind, payload = wire.split(received)
+    kind, payload = wire.split_datagram(received)
     match kind:
         case natnet.MessageKind.CONNECT if not payload:  # from libmotioncapture
             return natnet.Connect(natnet.OLDEST)
@@ -33,7 +33,7 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
         case natnet.MessageKind.ECHO_REQUEST:
             return natnet.EchoRequest(*wire.unpack_fields(Struct("<Q"), payload))
         case _:
-            return natnet.Bare(kind)
+            return natnet.BareMessage(kind)
 
 
 def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.NEWEST) -> bytes:
@@ -67,16 +67,18 @@ def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.
             return wire.pack_datagram(
                 natnet.MessageKind.ECHO_RESPONSE, wire.ECHO.pack(client, server)
             )
-        case natnet.Bare(kind):
+        case natnet.BareMessage(kind):
             return wire.pack_datagram(kind, b"")
 
 
 def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     """Encode the payload of a frame: its rigid bodies, and all other sections empty."""
-    layout = layout_of(version)
+    layout = find_layout(version)
     empty = section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
-    after = 2 + layout.sized + layout.channels  # skeletons, assets, labelled markers, channels
+    after = (
+        2 + layout.has_sizes + layout.channel_section_count
+    )  # skeletons, assets, labelled markers, channels
     parts = wire.pack_fields("i", frame.number), empty * 2, section(bodies, version), empty * after
     return b"".join((*parts, suffix(frame, version)))
 
@@ -89,7 +91,7 @@ def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
     """
     size = sum(map(len, parts))
     head = wire.pack_fields("i", len(parts))
-    if layout_of(version).sized:
+    if find_layout(version).has_sizes:
         head += wire.pack_fields("i", size)
     return head + b"".join(parts)
 
@@ -104,7 +106,9 @@ def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 
     """
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
     listed = (
-        b"" if layout_of(version).timed else wire.pack_fields("i", markers) + bytes(20 * markers)
+        b""
+        if find_layout(version).has_exposure_time
+        else wire.pack_fields("i", markers) + bytes(20 * markers)
     )
     pose = wire.pack_fields("i7f", body.id, *body.position, *body.quaternion)
     return pose + listed + wire.pack_fields("fH", error, body.tracking_valid)
@@ -115,9 +119,9 @@ def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
 
     An unknown exposure time is 0 as well.
     """
-    layout = layout_of(version)
+    layout = find_layout(version)
     times = [0] * (len(layout.suffix.format) - 3)
-    if layout.timed:
+    if layout.has_exposure_time:
         times[3] = frame.exposure or 0
     return wire.pack_fields(layout.suffix.format[1:], *times, frame.params, 0)
 
@@ -141,7 +145,7 @@ def pack_modeldef(
     described = (_packed_body(*body, version, markers) + extra_bytes for body in model.bodies)
     sets = [*other_sets, *((RIGID_BODY, data) for data in described)]
     parts = [wire.pack_fields("i", len(sets))]
-    is_sized = layout_of(version).sized
+    is_sized = find_layout(version).has_sizes
     for kind, data in sets:
         head = wire.pack_fields("ii", kind, len(data)) if is_sized else wire.pack_fields("i", kind)
         parts += [head, data]

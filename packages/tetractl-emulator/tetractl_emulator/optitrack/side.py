@@ -155,7 +155,7 @@ class EmulatedOptitrack(PoseCamera):
         self.section = section
         self.settings = settings
         self.multicast = section.transport == "multicast"
-        self.own_version = natnet.Version.of(settings.version)
+        self.own_version = natnet.Version.parse(settings.version)
         self.ports = ServerPorts(section, options)
         self.clock_errors: list[Callable[[int], int]] = []
         self.clients: dict[Address, Client] = {}
@@ -254,11 +254,11 @@ class EmulatedOptitrack(PoseCamera):
             case natnet.NatNetRequest("UpAxis") if self.settings.knows_up_axis:
                 return natnet.Response(struct.pack("<i", self.view.up))
             case natnet.NatNetRequest():
-                return natnet.Bare(natnet.MessageKind.UNRECOGNIZED)
-            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
+                return natnet.BareMessage(natnet.MessageKind.UNRECOGNIZED)
+            case natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF):
                 self.counts["models asked"] += 1
                 return natnet.ModelDef(self.names) if self.settings.answers_models else None
-            case natnet.Bare(natnet.MessageKind.DISCONNECT):
+            case natnet.BareMessage(natnet.MessageKind.DISCONNECT):
                 self.clients.pop(sender, None)
         return None
 
@@ -312,7 +312,9 @@ class EmulatedOptitrack(PoseCamera):
         for address, version in self._receivers(now_ns):
             if version not in datagram_by_version:
                 sent_version = (
-                    version if wrong_version is None else natnet.Version.of(wrong_version.version)
+                    version
+                    if wrong_version is None
+                    else natnet.Version.parse(wrong_version.version)
                 )
                 datagram_by_version[version] = pack_answer(frame, sent_version)
             datagram = datagram_by_version[version]

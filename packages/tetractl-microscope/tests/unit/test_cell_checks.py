@@ -26,7 +26,7 @@ def swimming(obstacles=(), goes_on=False):
         arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
         limits=LabLimits(),
         obstacles=obstacles,
-        goes_on=goes_on,
+        may_lose_robots=goes_on,
     )
     guard = Guard(rules, cell_checks)
     show(guard, 0, [Pose(500.0, 500.0, 0.0), Pose(500.0, 1500.0, 0.0)])
@@ -39,8 +39,8 @@ def show(guard, frame, poses):
     """Show a guard a frame of a run in which both cells are commanded straight on."""
     now = frame * FRAME_NS
     guard.check_frame(CameraFrame(frame, now, now, tuple(poses)))
-    guard.note_direction(now)
-    guard.note_transmission(now, SPEEDS, (0.0, 0.0))
+    guard.record_direction(now)
+    guard.record_transmission(now, SPEEDS, (0.0, 0.0))
     return guard.decide(now)
 
 
@@ -80,9 +80,9 @@ def warnings_of_turning(direction, rate_of, seconds=3.0):
         now = k * FRAME_NS
         poses = [Pose(x, y, heading) for (x, y), heading in zip(places, headings, strict=True)]
         guard.check_frame(CameraFrame(k, now, now, tuple(poses)))
-        guard.note_direction(now)
+        guard.record_direction(now)
         turning = [a * np.sin(direction - h) for a, h in zip(A, headings, strict=True)]
-        guard.note_transmission(now, SPEEDS, turning)
+        guard.record_transmission(now, SPEEDS, turning)
         warnings += guard.decide(now).warnings
     return warnings
 
@@ -138,5 +138,5 @@ def test_a_cell_that_leaves_the_arena_is_lost_and_ends_a_run_that_may_lose_none(
     for k in range(1, 940):
         show(guard, k, [straight(k, 0, 500.0), straight(k, 1, 1500.0)])
     assert guard.state is ends
-    assert list(guard.lost) == ([0] if goes_on else [])
+    assert list(guard.lost_robots) == ([0] if goes_on else [])
     assert guard.reason == ("" if goes_on else "one is about to leave the arena")

@@ -65,7 +65,7 @@ def turn_field(
         KeyboardInterrupt: If the operator cancels.
     """
     tracker = tracker_of(rig)
-    rig.loop.idle = manoeuvre(choice.turn, seed)
+    rig.loop.idle_direction = manoeuvre(choice.turn, seed)
     numbers_near_wall: set[int] = set()
     start_ns = rig.clock.now()
     frames_before = rig.loop.frames.count

@@ -4,7 +4,7 @@ The bytes of a command: 0x53, sequence, flags, i16 x, i16 y [mA], CRC. The bytes
 is sent only if it is polled: 0x54, sequence, status, version, i16 measured x, i16 measured y [mA],
 u16 supply [mV], i16 temperature [0.1 degrees Celsius], u16 frames received, u16 frames rejected,
 u16 maximum current [mA], u32 maximum slew rate [mA/s], u16 watchdog [ms], CRC. All numbers are
-little-endian. `cobs.frame_with_crc` creates the frames. `firmware/field_core.c` is the driver's
+little-endian. `cobs.encode_with_crc` creates the frames. `firmware/field_core.c` is the driver's
 side.
 """
 
@@ -16,7 +16,7 @@ from enum import IntFlag
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import WireError
-from tetractl.lab.cobs import Flag, Splitter, checked_flags, pack_fields, unpack_fields
+from tetractl.lab.cobs import Flag, FrameSplitter, pack_fields, parse_flags, unpack_fields
 from tetractl.lab.serial_port import PortFactory, SerialPort
 
 COMMAND = 0x53
@@ -89,7 +89,7 @@ class FieldReply:
 
 def encode_command(command: FieldCommand) -> bytes:
     """Encode a command, including the closing byte 00."""
-    checked_flags(command.flags)
+    parse_flags(command.flags)
     return pack_fields(_COMMAND, COMMAND, *astuple(command))
 
 
@@ -100,7 +100,7 @@ def decode_command(frame: bytes) -> FieldCommand:
         WireError: If the frame is not a valid command.
     """
     sequence, flags, x_ma, y_ma = unpack_fields(_COMMAND, COMMAND, frame)
-    return FieldCommand(sequence, checked_flags(flags), x_ma, y_ma)
+    return FieldCommand(sequence, parse_flags(flags), x_ma, y_ma)
 
 
 def decode_reply(frame: bytes) -> FieldReply:
@@ -139,7 +139,7 @@ class Driver:
         self._clock = clock
         create_port = ports or SerialPort
         self._port = create_port(port, baud, "the current driver", clock, self._receive, HINT)
-        self._splitter = Splitter()
+        self._splitter = FrameSplitter()
         self._lock = threading.Lock()
         self._sequence = clock.now() % 256  # a first number that no one can foretell
         self._latched_flags = Flag(0)

@@ -133,19 +133,19 @@ def test_a_command_beyond_the_limits_is_refused(command):
 )
 def test_a_payload_that_is_no_command_is_refused(payload):
     with pytest.raises(WireError):
-        decode_command(cobs.frame_with_crc(payload)[:-1])
+        decode_command(cobs.encode_with_crc(payload)[:-1])
 
 
 def test_a_command_for_no_robot_is_one():
     payload = bytes([COMMAND, 3, 4, 0])
-    assert decode_command(cobs.frame_with_crc(payload)[:-1]) == BroadcastCommand(3, Flag.POLL)
+    assert decode_command(cobs.encode_with_crc(payload)[:-1]) == BroadcastCommand(3, Flag.POLL)
 
 
 def test_a_reply_has_its_numbers_in_order_and_unknown_bits_of_its_status_are_left_out():
     reply = Reply(4, 200, Status.RUNNING, 4821, 65535, 12)
     assert decode_reply(packed_reply(reply)[:-1]) == reply
     raw = struct.pack("<BBBBHHH", 0x52, 4, 200, 0xF9, 4821, 65535, 12)
-    assert decode_reply(cobs.frame_with_crc(raw)[:-1]).status == Status(1)
+    assert decode_reply(cobs.encode_with_crc(raw)[:-1]).status == Status(1)
 
 
 def reply_of(index, sequence):
@@ -156,26 +156,26 @@ def test_robots_are_asked_with_a_poll_and_what_came_before_is_dropped():
     link, robots = broadcaster()
     half = packed_reply(reply_of(1, 1))
     link.fresh = [half]
-    sequence, sent_ns = robots.ask()
+    sequence, sent_ns = robots.send_poll()
     assert (sequence, sent_ns) == (1, 1001)
     assert link.commands[-1].flags == Flag.POLL
-    assert list(robots.hear(0.25)) == []
+    assert list(robots.receive_replies(0.25)) == []
     assert link.waits_s == [0.25]
 
 
 def test_replies_are_heard_across_pieces_and_garbage():
     link, robots = broadcaster()
     first, second = packed_reply(reply_of(0, 1)), packed_reply(reply_of(1, 1))
-    robots.ask()
+    robots.send_poll()
     link.fresh = [b"noise\0" + first[:3], first[3:], second[:5]]
-    assert list(robots.hear(0.1)) == [reply_of(0, 1)]
+    assert list(robots.receive_replies(0.1)) == [reply_of(0, 1)]
     link.fresh = [second[5:]]
-    assert list(robots.hear(0.1)) == [reply_of(1, 1)]
+    assert list(robots.receive_replies(0.1)) == [reply_of(1, 1)]
     link.fresh = [second[:5]]
-    assert list(robots.hear(0.1)) == []
-    robots.ask()
+    assert list(robots.receive_replies(0.1)) == []
+    robots.send_poll()
     link.fresh = [second[5:]]
-    assert list(robots.hear(0.1)) == [], "half a reply to the poll before"
+    assert list(robots.receive_replies(0.1)) == [], "half a reply to the poll before"
 
 
 def test_a_poll_returns_the_replies_in_the_order_of_the_setup():
@@ -220,7 +220,7 @@ class Module:
         self.commands.append(decode_command(data[:-1]))
         return 0
 
-    def ask_twice(self, command):
+    def request_twice(self, command):
         self.calls.append(command)
         return b"\x02" if self.answers else None
 
@@ -234,7 +234,7 @@ SECTION = XbeeSection(port="radio", baud=57600)
 @pytest.mark.parametrize(("alone", "answers"), [(True, True), (False, False), (False, True)])
 def test_all_robots_in_range_latch_ten_stops(monkeypatch, alone, answers):
     module = Module(answers)
-    monkeypatch.setattr(broadcast, "Link", module)
+    monkeypatch.setattr(broadcast, "XbeeLink", module)
     clock = VirtualClock()
     said = stop_in_range(SECTION, clock, alone)
     assert said.startswith("sent 10 stops on radio")
@@ -245,7 +245,7 @@ def test_all_robots_in_range_latch_ten_stops(monkeypatch, alone, answers):
 
 def test_a_module_that_does_not_answer_after_the_stops_is_named(monkeypatch):
     module = Module(answers=False)
-    monkeypatch.setattr(broadcast, "Link", module)
+    monkeypatch.setattr(broadcast, "XbeeLink", module)
     with pytest.raises(AbortError, match="no XBee module answers at 57600 baud"):
         stop_in_range(SECTION, VirtualClock(), alone=True)
     assert len(module.commands) == STOPS
@@ -254,7 +254,7 @@ def test_a_module_that_does_not_answer_after_the_stops_is_named(monkeypatch):
 
 def test_a_port_that_cannot_be_opened_is_closed_all_the_same(monkeypatch):
     module = Module(answers=True, failing=True)
-    monkeypatch.setattr(broadcast, "Link", module)
+    monkeypatch.setattr(broadcast, "XbeeLink", module)
     with pytest.raises(AbortError, match="no port"):
         stop_in_range(SECTION, VirtualClock())
     assert module.calls[-1] == "close"

@@ -90,7 +90,7 @@ def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
         (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1))),
         (packed_reply, Reply(256, 0, Status(0), 0, 0, 0)),
         (packed_reply, Reply(0, 0, Status(0), 70_000, 0, 0)),
-        (cobs.frame_with_crc, bytes(cobs.FRAME_MAX)),
+        (cobs.encode_with_crc, bytes(cobs.PAYLOAD_BYTES_MAX)),
     ],
 )
 def test_what_does_not_fit_is_not_encoded(encode, message):
@@ -112,7 +112,7 @@ def test_what_does_not_fit_is_not_encoded(encode, message):
 )
 def test_bad_messages_with_a_good_crc_are_refused(decode, payload):
     with pytest.raises(WireError):
-        decode(cobs.frame_with_crc(bytes.fromhex(payload))[:-1])
+        decode(cobs.encode_with_crc(bytes.fromhex(payload))[:-1])
 
 
 @given(sent=st.lists(robot_replies, max_size=6), cuts=CUTS, garbage=st.binary())
@@ -122,7 +122,7 @@ def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
     stream = head + b"".join(map(packed_reply, sent))
     places = [cut % len(stream) for cut in cuts]
     edges = sorted({0, len(stream), *places})
-    splitter = cobs.Splitter()
+    splitter = cobs.FrameSplitter()
     frames = []
     for start, stop in itertools.pairwise(edges):
         frames += splitter.feed(stream[start:stop])
@@ -139,19 +139,19 @@ def test_headings_are_predicted_over_a_tenth_of_a_second_at_most():
         clock.sleep_until(SECOND)
         actuator = M3piActuator(experiment.lab.actuator, experiment.setup, clock)
         poses = [Pose(500, 500, 0.5)] * 2
-        wished = actuator.wished(Steer(2.0), poses, SECOND - age_ms * 1_000_000)
+        wished = actuator.compute_wheel_speeds(Steer(2.0), poses, SECOND - age_ms * 1_000_000)
         return actuator.outputs(wished, np.ones(2, bool)).tolist()
 
     assert counts(0) != counts(93) == counts(500)
 
 
 def test_a_frame_that_is_too_long_is_dropped_though_it_comes_in_pieces():
-    splitter = cobs.Splitter()
+    splitter = cobs.FrameSplitter()
     assert [splitter.feed(b"\1" * 50) for _ in range(3)] == [[]] * 3
     assert splitter.feed(b"\0\2\1\0") == [b"\2\1"]
 
 
-@given(st.binary(max_size=cobs.FRAME_MAX))
+@given(st.binary(max_size=cobs.PAYLOAD_BYTES_MAX))
 def test_stuffing_round_trips(payload):
     frame = cobs.encode(payload)
     assert frame.index(0) == len(frame) - 1

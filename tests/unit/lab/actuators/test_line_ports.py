@@ -100,9 +100,9 @@ def test_replies_of_a_ports_own_robots_are_heard_once_and_others_are_not():
     link, ports, _ = linked([{"port": "a"}, {"port": "b"}, {"port": "a"}])
     ports["a"].heard(reply_line(reply_of(0)) + reply_line(reply_of(1)) + b"noise\n", 0)
     ports["a"].heard(reply_line(reply_of(2)), 0)
-    assert list(link.hear(1.0)) == [reply_of(0), reply_of(2)]
+    assert list(link.receive_replies(1.0)) == [reply_of(0), reply_of(2)]
     ports["b"].heard(reply_line(reply_of(1)), 0)
-    assert list(link.hear(1.0)) == [reply_of(1)]
+    assert list(link.receive_replies(1.0)) == [reply_of(1)]
 
 
 def test_a_line_is_put_together_from_its_pieces_at_each_port():
@@ -111,34 +111,34 @@ def test_a_line_is_put_together_from_its_pieces_at_each_port():
     for a, b in zip(first, second, strict=True):
         ports["a"].heard(bytes([a]), 0)
         ports["b"].heard(bytes([b]), 0)
-    assert list(link.hear(1.0)) == [reply_of(0), reply_of(1)]
+    assert list(link.receive_replies(1.0)) == [reply_of(0), reply_of(1)]
     assert clock.now() == 0, "nobody waits for what is there"
 
 
 def test_a_line_that_never_ends_is_not_kept_whole():
     link, ports, _ = linked()
     ports["air"].heard(b"x" * 50 * PENDING_MAX, 0)
-    assert len(link._rest["air"]) == PENDING_MAX
+    assert len(link._unfinished_lines["air"]) == PENDING_MAX
     ports["air"].heard(b"\n" + reply_line(reply_of(0)), 0)
-    assert list(link.hear(1.0)) == [reply_of(0)]
+    assert list(link.receive_replies(1.0)) == [reply_of(0)]
 
 
 def test_hearing_waits_until_a_reply_or_a_failure_or_the_time_is_over():
     link, ports, clock = linked()
-    assert list(link.hear(0.5)) == []
+    assert list(link.receive_replies(0.5)) == []
     assert clock.now() == pytest.approx(0.5 * SECOND, rel=0.02)
     before_ns = clock.now()
     ports["air"].failure = "gone"
-    assert list(link.hear(0.5)) == []
+    assert list(link.receive_replies(0.5)) == []
     assert clock.now() == before_ns
 
 
 def test_a_poll_drops_what_came_before_and_names_its_number():
     link, ports, _ = linked()
     ports["air"].heard(reply_line(reply_of(0)), 0)
-    assert link.ask() == (1, 1001)
+    assert link.send_poll() == (1, 1001)
     assert ports["air"].commands == [LineCommand("T", 1, Flag.POLL)]
-    assert list(link.hear(0.1)) == []
+    assert list(link.receive_replies(0.1)) == []
 
 
 def test_the_replies_to_a_poll_are_in_the_order_of_the_setup():

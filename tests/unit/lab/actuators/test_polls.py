@@ -8,7 +8,7 @@ from tetractl.core.clock import VirtualClock
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import decode_command
 from tetractl.lab.actuators.twist.section import TwistSection
-from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
+from tetractl.lab.actuators.wheel_commands import Reply, Status, poll_robots
 
 HONEST_MV = 4800
 FORGED_MV = 9999
@@ -92,14 +92,14 @@ def test_a_late_reply_to_the_try_before_still_counts():
     class LateRobot:
         failure = None
 
-        def ask(self):
+        def send_poll(self):
             return next(sequences), clock.now()
 
-        def hear(self, timeout_s):
+        def receive_replies(self, timeout_s):
             clock.sleep_until(clock.now() + round(timeout_s * 1e9))
             return coming.popleft()
 
-    assert polled(LateRobot(), [0], clock, 1.0, 20) == [reply_of(0, 1)]
+    assert poll_robots(LateRobot(), [0], clock, 1.0, 20) == [reply_of(0, 1)]
 
 
 def test_the_number_of_the_first_poll_cannot_be_foretold():

@@ -23,7 +23,7 @@ def actuator():
 @given(speeds)
 def test_a_twist_is_the_mean_of_the_wheels_and_their_difference_over_their_distance(values):
     wheels = np.array(values).reshape(2, 2)
-    sent = actuator()._twists(wheels)
+    sent = actuator()._compute_twists(wheels)
     assert sent[0] == pytest.approx((wheels[0] + wheels[1]) / 2, abs=0.51)
     turning = (wheels[1] - wheels[0]) / (2 * RADII_MM)
     assert sent[1] == pytest.approx(1000 * turning, abs=0.51)
@@ -34,11 +34,13 @@ def test_a_twist_is_the_mean_of_the_wheels_and_their_difference_over_their_dista
 def test_the_wheels_of_a_twist_are_those_that_were_wished_within_its_rounding(values):
     wheels = np.array(values).reshape(2, 2)
     made = actuator()
-    assert made._wheels(made._twists(wheels)) == pytest.approx(wheels, abs=0.6)
+    assert made._compute_wheel_speeds(made._compute_twists(wheels)) == pytest.approx(
+        wheels, abs=0.6
+    )
 
 
 def test_a_twist_beyond_what_a_line_can_hold_is_cut_off():
-    sent = actuator()._twists(1e6 * np.array([[1.0, -1.0], [1.0, 1.0]]))
+    sent = actuator()._compute_twists(1e6 * np.array([[1.0, -1.0], [1.0, 1.0]]))
     assert sent.tolist() == [[SPEED_MAX, 0], [0, TURN_MAX]]
 
 

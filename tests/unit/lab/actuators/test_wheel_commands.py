@@ -13,12 +13,12 @@ from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.commands import Steer, Turn
 from tetractl.core.poses import Pose
 from tetractl.lab.actuators.wheel_commands import (
-    EMPTY_V,
-    TRIES,
+    BATTERY_EMPTY_V,
+    POLLS_MAX,
     Reply,
     Status,
     WheeledActuator,
-    polled,
+    poll_robots,
     radii_mm,
     robot_status,
     wheels_by_speed,
@@ -47,11 +47,11 @@ class Link:
     def failure(self):
         return "unplugged" if self.asked >= self.failure_at else None
 
-    def ask(self):
+    def send_poll(self):
         self.asked += 1
         return self.asked, self.clock.now()
 
-    def hear(self, timeout_s):
+    def receive_replies(self, timeout_s):
         self.clock.advance(min(timeout_s, 0.03))
         self.waited_s += min(timeout_s, 0.03)
         return [
@@ -63,7 +63,7 @@ class Link:
 
 def poll(timeout_s=9.0, **robots):
     link = Link(HandClock(), **robots)
-    return polled(link, [0, 1], link.clock, timeout_s, SLOT_MS), link
+    return poll_robots(link, [0, 1], link.clock, timeout_s, SLOT_MS), link
 
 
 def test_robots_that_reply_are_polled_once():
@@ -79,12 +79,14 @@ def test_robots_are_polled_again_until_each_has_replied():
     silent, link = poll(after=(1, 99))
     assert silent[0] is not None
     assert silent[1] is None
-    assert link.asked == TRIES
+    assert link.asked == POLLS_MAX
     one_try_s = (1 + 2) * SLOT_MS / 1000 + 0.1
-    assert link.waited_s == pytest.approx(TRIES * one_try_s)
+    assert link.waited_s == pytest.approx(POLLS_MAX * one_try_s)
 
 
-@pytest.mark.parametrize(("timeout_s", "tries"), [(0.01, 1), (0.33, 2), (0.5, 3), (60.0, TRIES)])
+@pytest.mark.parametrize(
+    ("timeout_s", "tries"), [(0.01, 1), (0.33, 2), (0.5, 3), (60.0, POLLS_MAX)]
+)
 def test_as_many_polls_are_sent_as_the_time_allows_and_one_at_least(timeout_s, tries):
     _, link = poll(timeout_s, after=(99, 99))
     assert link.asked == tries
@@ -93,7 +95,7 @@ def test_as_many_polls_are_sent_as_the_time_allows_and_one_at_least(timeout_s, t
 def test_a_reply_to_another_command_says_nothing():
     replies, link = poll(off=7)
     assert replies == [None, None]
-    assert link.asked == TRIES
+    assert link.asked == POLLS_MAX
 
 
 def test_a_link_that_failed_is_polled_no_more():
@@ -110,8 +112,11 @@ def test_a_link_that_failed_is_polled_no_more():
         (reply(0, battery_mv=0), (True, None, 0, 0)),
         (reply(0, battery_mv=4600), (True, 4.6, 0, 1)),  # low
         (reply(0, battery_mv=4700), (True, 4.7, 0, 0)),
-        (reply(0, battery_mv=round(1000 * EMPTY_V)), (True, EMPTY_V, 0, 1)),
-        (reply(0, battery_mv=round(1000 * EMPTY_V) - 1), (True, EMPTY_V - 0.001, 1, 0)),
+        (reply(0, battery_mv=round(1000 * BATTERY_EMPTY_V)), (True, BATTERY_EMPTY_V, 0, 1)),
+        (
+            reply(0, battery_mv=round(1000 * BATTERY_EMPTY_V) - 1),
+            (True, BATTERY_EMPTY_V - 0.001, 1, 0),
+        ),
         (reply(0, status=Status.EMERGENCY_STOPPED, battery_mv=3000), (True, 3.0, 1, 0)),
         (reply(0, status=Status.SILENT), (True, 5.0, 0, 0)),
     ],
@@ -178,7 +183,7 @@ def test_robots_that_may_not_move_and_those_without_a_pose_stand():
 
 def test_outputs_that_a_calibration_holds_are_sent_whatever_the_action():
     wheels = Wheels(SETUP, HandClock())
-    wheels.held = np.array([[7, 8, 9], [-7, 0, 9]])
+    wheels.held_outputs = np.array([[7, 8, 9], [-7, 0, 9]])
     wheels.send(Turn(0.0), POSES, (True, True, False), 0)
     assert wheels.sent[0].tolist() == [[7, 8, 0], [-7, 0, 0]]
 

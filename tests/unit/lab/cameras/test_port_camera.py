@@ -10,7 +10,7 @@ from tetractl.cli.specs import build_template
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.lab.cameras.port_camera import ASKED, PortCamera
+from tetractl.lab.cameras.port_camera import REQUEST, PortCamera
 from tetractl.lab.client_port import ClientPort
 from tetractl.spec.load import parse_spec
 
@@ -65,7 +65,7 @@ def test_a_frame_was_exposed_the_latency_before_its_message_came():
     with camera(port) as opened:
         first, second = opened.frames()
         assert opened.frames() == []
-    assert port.sent == [ASKED] and port.closed
+    assert port.sent == [REQUEST] and port.closed
     assert (first.poses, first.sampled_ns, first.received_ns) == (
         (Pose(7.0, 0.0, 0.0),), 980_000_000, 1_000_000_000,
     )  # fmt: skip

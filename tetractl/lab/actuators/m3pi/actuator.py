@@ -14,13 +14,14 @@ from tetractl.core.setup import Setup
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
-from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.actuators.xbee.link import XbeeLink
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import PortFactory
 from tetractl.model.wheels import CountArray, Drivetrains
 from tetractl.spec.lab_section import entry
 
-RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
+RADIO_NS = 7_000_000
+"""Time from writing a broadcast at 57600 baud until the wheels follow it [ns]."""
 
 
 class M3piActuator(WheeledActuator):
@@ -30,14 +31,14 @@ class M3piActuator(WheeledActuator):
         section: The fields of the actuator in the spec.
         setup: The constants of the experiment.
         clock: The clock for times.
-        ports: Creates the serial port of the `Link`. None for a port of this computer.
+        ports: Creates the serial port of the `XbeeLink`. None for a port of this computer.
     """
 
     def __init__(
         self, section: M3piSection, setup: Setup, clock: Clock, ports: PortFactory | None = None
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
-        self.link = Link(section, clock, ports)
+        self.link = XbeeLink(section, clock, ports)
         self._radio = Broadcaster(self.link, clock, [section.index(name) for name in setup.names])
         self.drivetrains = drivetrains(self.robots)
         super().__init__(
@@ -60,8 +61,8 @@ class M3piActuator(WheeledActuator):
         return self._radio.send(Flag.EMERGENCY_STOP if emergency else Flag(0))
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
-        by_robot = outputs.T.tolist()
-        sent_ns = self._radio.drive([(counts[0], counts[1]) for counts in by_robot])
+        counts_by_robot = outputs.T.tolist()
+        sent_ns = self._radio.drive([(counts[0], counts[1]) for counts in counts_by_robot])
         return sent_ns, self.drivetrains.speeds(outputs)
 
 

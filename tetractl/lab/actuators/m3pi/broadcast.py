@@ -4,7 +4,7 @@ The robots' firmware has a watchdog, so they stop if no frame arrives. A command
 bytes 0x51, sequence, flags, number of robots, then i8 left and i8 right for each robot, and a CRC.
 A robot replies only when it is polled. A reply consists of the bytes 0x52, id, sequence, status,
 u16 battery [mV], u16 frames received, u16 frames rejected, and a CRC. All numbers are
-little-endian; `cobs.frame_with_crc` encodes the frames. `firmware/m3pi_core.c` is the counterpart
+little-endian; `cobs.encode_with_crc` encodes the frames. `firmware/m3pi_core.c` is the counterpart
 on the robot.
 """
 
@@ -17,17 +17,21 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, WireError
 from tetractl.core.setup import Setup
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
+from tetractl.lab.actuators.wheel_commands import Reply, Status, poll_robots
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
-from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.actuators.xbee.link import XbeeLink
 from tetractl.lab.serial_port import SWITCH_OFF_HINT
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 
-COMMAND = 0x51  # first byte of a command
-REPLY = 0x52  # first byte of a reply
-ROBOTS_MAX = 32  # most robots of a command: ids are from 0 to 31
-REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
+COMMAND = 0x51
+"""First byte of a command."""
+REPLY = 0x52
+"""First byte of a reply."""
+ROBOTS_MAX = 32
+"""Maximum number of robots in a command. Their ids are 0 to 31."""
+REPLY_SLOT_MS = 10
+"""Length of a reply slot [ms]. Robot i replies i slots after a poll, so that no two collide."""
 _REPLY = struct.Struct("<BBBBHHH")
 
 
@@ -55,17 +59,17 @@ def encode_command(command: BroadcastCommand) -> bytes:
         raise WireError(
             f"there are {len(command.wheels)} robots, but a frame has space for {ROBOTS_MAX}"
         )
-    counts = [count for pair in command.wheels for count in pair]
-    if any(len(pair) != 2 for pair in command.wheels):
+    counts = [count for wheel_counts in command.wheels for count in wheel_counts]
+    if any(len(wheel_counts) != 2 for wheel_counts in command.wheels):
         raise WireError(f"each robot needs two wheel counts, but these are {command.wheels}")
     if any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(
             f"wheel counts must be from -{COUNT_MAX} to {COUNT_MAX}, but these are {command.wheels}"
         )
-    head = bytes(
-        [COMMAND, command.sequence, cobs.checked_flags(command.flags), len(command.wheels)]
+    header = bytes(
+        [COMMAND, command.sequence, cobs.parse_flags(command.flags), len(command.wheels)]
     )
-    return cobs.frame_with_crc(head + struct.pack(f"{len(counts)}b", *counts))
+    return cobs.encode_with_crc(header + struct.pack(f"{len(counts)}b", *counts))
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
@@ -74,17 +78,17 @@ def decode_command(frame: bytes) -> BroadcastCommand:
     Raises:
         WireError: If the frame is damaged or is not a valid command.
     """
-    payload = cobs.checked_payload(frame)
+    payload = cobs.decode_with_crc(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
-    sequence, flags, robots = payload[1:4]
-    if robots > ROBOTS_MAX or len(payload) != 4 + 2 * robots:
-        raise WireError(f"{len(payload)} bytes are not a command for {robots} robots")
-    counts = struct.unpack_from(f"{2 * robots}b", payload, 4)
+    sequence, flags, n_robots = payload[1:4]
+    if n_robots > ROBOTS_MAX or len(payload) != 4 + 2 * n_robots:
+        raise WireError(f"{len(payload)} bytes are not a command for {n_robots} robots")
+    counts = struct.unpack_from(f"{2 * n_robots}b", payload, 4)
     if min(counts, default=0) < -COUNT_MAX:
         raise WireError(f"a wheel count is -128, below -{COUNT_MAX}")
     return BroadcastCommand(
-        sequence, cobs.checked_flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
+        sequence, cobs.parse_flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
     )
 
 
@@ -107,12 +111,12 @@ class Broadcaster:
         indices: Number of each robot, N entries, in the order of the setup.
     """
 
-    def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
+    def __init__(self, link: XbeeLink, clock: Clock, indices: Sequence[int]) -> None:
         self._link = link
         self._clock = clock
         self._indices = tuple(indices)
-        self._sequence = clock.now() % 256  # a first number that no one can foretell
-        self._splitter = cobs.Splitter()  # of what has come since the last poll
+        self._sequence = clock.now() % 256  # an unpredictable first number
+        self._splitter = cobs.FrameSplitter()  # for the data since the last poll
 
     def drive(self, counts: Sequence[Counts]) -> int:
         """Send every robot its wheel counts in one frame, and return the time of sending [ns].
@@ -120,8 +124,8 @@ class Broadcaster:
         `counts` has one pair, left and right, for each robot in the order of the setup.
         """
         wheels = [STOP] * (max(self._indices) + 1)
-        for index, pair in zip(self._indices, counts, strict=True):
-            wheels[index] = pair
+        for index, wheel_counts in zip(self._indices, counts, strict=True):
+            wheels[index] = wheel_counts
         return self.send(cobs.Flag.RUN, tuple(wheels))
 
     def send(self, flags: cobs.Flag, wheels: tuple[Counts, ...] = ()) -> int:
@@ -133,30 +137,34 @@ class Broadcaster:
         return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Ask all robots for a reply, and return the reply of each. None for a silent robot.
+        """Ask all robots for a reply, and wait for the replies.
 
         Args:
-            timeout_s: How long to wait in total [s]. The function returns earlier if all have
-                replied, or if the link fails.
+            timeout_s: How long to wait in total [s]. The function returns earlier if all robots
+                have replied, or if the link fails.
+
+        Returns:
+            The reply of each robot. None if a robot is silent.
         """
-        return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
+        return poll_robots(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
     @property
     def failure(self) -> str | None:
         """Why nothing can be sent any more. None if there is no fault."""
         return self._link.failure
 
-    def ask(self) -> tuple[int, int]:
-        """Send a poll, and return its sequence number and when it was sent [ns].
+    def send_poll(self) -> tuple[int, int]:
+        """Send a poll to all robots, and drop replies that have arrived before.
 
-        Whatever arrived before is dropped.
+        Returns:
+            The sequence number of the poll, and the time of sending [ns].
         """
-        self._splitter = cobs.Splitter()
+        self._splitter = cobs.FrameSplitter()
         self._link.fetch()
         sent_ns = self.send(cobs.Flag.POLL)
         return self._sequence, sent_ns
 
-    def hear(self, timeout_s: float) -> Iterator[Reply]:
+    def receive_replies(self, timeout_s: float) -> Iterator[Reply]:
         """Wait at most `timeout_s` seconds for data, and yield the replies that arrived.
 
         Frames that are not replies are dropped.
@@ -196,14 +204,14 @@ def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
     Raises:
         AbortError: If no module answers afterwards.
     """
-    link = Link(module, clock)
+    link = XbeeLink(module, clock)
     try:
         link.open(checked=False, exclusive=alone)
-        robots = Broadcaster(link, clock, ())
+        broadcaster = Broadcaster(link, clock, ())
         for _ in range(STOPS):
-            robots.send(cobs.Flag.EMERGENCY_STOP)
+            broadcaster.send(cobs.Flag.EMERGENCY_STOP)
             clock.sleep_until(clock.now() + STOP_GAP_NS)
-        if alone and link.ask_twice(b"AP") is None:
+        if alone and link.request_twice(b"AP") is None:
             raise AbortError(
                 f"sent {STOPS} stops on {module.port}, but no XBee module answers at "
                 f"{module.baud} baud",

@@ -94,10 +94,10 @@ class M3piSection(XbeeSection, ActuatorSection):
         """The number of wheel commands per second [Hz]: `rate`, or its default."""
         if self.rate is not None:
             return self.rate
-        numbers = 1 + max(self.index(robot.name) for robot in self.robots)
-        command_s = (FRAME_BYTES + WHEELS_BYTES * numbers) * BYTE_BITS / self.baud
-        affordable = (hz for hz in RATES_HZ if hz * command_s <= BUSY_MAX)
-        return next(affordable, RATES_HZ[-1])
+        n_slots = 1 + max(self.index(robot.name) for robot in self.robots)
+        command_s = (FRAME_BYTES + WHEELS_BYTES * n_slots) * BYTE_BITS / self.baud
+        affordable_rates_hz = (rate_hz for rate_hz in RATES_HZ if rate_hz * command_s <= BUSY_MAX)
+        return next(affordable_rates_hz, RATES_HZ[-1])
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the field and message of each problem with robots, numbers or wheels."""

@@ -30,7 +30,7 @@ class TwistActuator(WheeledActuator):
         self.section = section
         self.link = TwistLink(section, setup.names, clock, ports)
         robots = [entry(section.robots, name) for name in setup.names]
-        self._gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
+        self._gain = np.array([(robot.left_gain, robot.right_gain) for robot in robots]).T
         super().__init__(
             setup,
             clock,
@@ -47,15 +47,17 @@ class TwistActuator(WheeledActuator):
         return self.link.stop(emergency)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
-        wheels = outputs.astype(float)
-        sent = wheels
+        wheel_speeds = outputs.astype(float)
+        sent_numbers = wheel_speeds
         if self.section.sends != "wheels":
-            sent = self._twists(wheels)
-            wheels = self._wheels(sent)  # as the robots compute them from rounded numbers
-        sent_ns = self.link.drive([(int(first), int(second)) for first, second in sent.T])
-        return sent_ns, wheels * self._gain
+            sent_numbers = self._compute_twists(wheel_speeds)
+            wheel_speeds = self._compute_wheel_speeds(
+                sent_numbers
+            )  # as the robots compute them from rounded numbers
+        sent_ns = self.link.drive([(int(first), int(second)) for first, second in sent_numbers.T])
+        return sent_ns, wheel_speeds * self._gain
 
-    def _twists(self, wheels: Floats) -> Floats:
+    def _compute_twists(self, wheels: Floats) -> Floats:
         """Convert wheel speeds (2, N) [mm/s] to whole speeds and turning rates by (21)-(23).
 
         The result has shape (2, N): speeds [mm/s] and turning rates [mrad/s].
@@ -65,7 +67,7 @@ class TwistActuator(WheeledActuator):
         limits = np.array([[SPEED_MAX], [TURN_MAX]])
         return np.clip(np.rint(np.array([v, 1000 * w])), -limits, limits)
 
-    def _wheels(self, twists: Floats) -> Floats:
+    def _compute_wheel_speeds(self, twists: Floats) -> Floats:
         """Convert speeds and turning rates that were sent back to wheel speeds (2, N) [mm/s]."""
         rim = twists[1] * self.radii / 1000
         return np.array([twists[0] - rim, twists[0] + rim])

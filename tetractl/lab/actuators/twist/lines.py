@@ -24,11 +24,11 @@ SPEED_MAX = 5000
 TURN_MAX = 50_000
 """Maximum absolute turning rate in a command [mrad/s]."""
 DIGITS_MAX = 6
-"""Maximum number of digits of a number."""
+"""Maximum number of digits of a number in a line."""
 REPLY_SLOT_MS = 20
 """Length of a reply slot [ms]. Robot i replies i slots after a poll, so that no two collide."""
-Kind = Literal["T", "W"]
-Entry = tuple[int, int, int]
+CommandType = Literal["T", "W"]
+RobotEntry = tuple[int, int, int]
 """A robot's index with its two numbers: v [mm/s] and w [mrad/s], or both wheels' speeds [mm/s]."""
 
 
@@ -36,13 +36,17 @@ Entry = tuple[int, int, int]
 class LineCommand:
     """One line of text with the commands for all robots that receive it.
 
-    The robots named in `entries` drive as stated there. The others stop.
+    Attributes:
+        kind: "T" for speeds and turning rates, "W" for wheel speeds.
+        sequence: Sequence number of the command, 0 to 255.
+        flags: The flags of the command.
+        entries: The index of each robot that drives, with its two numbers. All other robots stop.
     """
 
-    kind: Kind
+    kind: CommandType
     sequence: int
     flags: cobs.Flag
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[RobotEntry, ...] = ()
 
 
 def encode_command(command: LineCommand) -> bytes:
@@ -54,10 +58,10 @@ def encode_command(command: LineCommand) -> bytes:
     numbers = [
         command.sequence,
         int(command.flags),
-        *(n for entry in command.entries for n in entry),
+        *(number for entry in command.entries for number in entry),
     ]
-    body = " ".join([command.kind, *map(str, numbers)]).encode("ascii")
-    line = body + b"*%04X\n" % cobs.crc16(body)
+    content = " ".join([command.kind, *map(str, numbers)]).encode("ascii")
+    line = content + b"*%04X\n" % cobs.crc16(content)
     if decode_command(line[:-1]) != command:
         raise WireError(f"this command cannot be sent: {command}")
     return line
@@ -86,7 +90,7 @@ def decode_command(line: bytes) -> LineCommand:
             )
     if not 0 <= sequence <= 255:
         raise WireError(f"the sequence number must be from 0 to 255, but it is {sequence}")
-    return LineCommand(letter, sequence, cobs.checked_flags(flags), entries)
+    return LineCommand(letter, sequence, cobs.parse_flags(flags), entries)
 
 
 def decode_reply(line: bytes) -> Reply:
@@ -109,11 +113,11 @@ def _parse_numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
         WireError: If its CRC or form is wrong.
     """
     line = line.removesuffix(b"\r")
-    body = line[:-5]
-    seal = line[-5:]
-    if not body or len(line) > LINE_MAX or seal != b"*%04X" % cobs.crc16(body):
+    content = line[:-5]
+    checksum = line[-5:]
+    if not content or len(line) > LINE_MAX or checksum != b"*%04X" % cobs.crc16(content):
         raise WireError("wrong CRC")
-    letter, *number_texts = body.decode("ascii", "replace").split(" ")
+    letter, *number_texts = content.decode("ascii", "replace").split(" ")
     for number_text in number_texts:
         digits = number_text.removeprefix("-")
         if not (digits.isascii() and digits.isdecimal() and len(digits) <= DIGITS_MAX):

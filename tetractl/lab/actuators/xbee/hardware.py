@@ -13,9 +13,12 @@ from pydantic import Field
 
 from tetractl.spec.base import Model
 
-RIGHT_PROTOCOL = "802.15.4"  # the protocol that modules of robots and computer run
-BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # baud rate by the value of BD
-ESCAPED_FRAMES = 2  # the value of AP for API frames with escapes
+REQUIRED_PROTOCOL = "802.15.4"
+"""The protocol that the modules of the robots and of the computer must run."""
+BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
+"""Baud rates, in the order of the module's parameter BD, which is an index into them."""
+ESCAPED_API_MODE = 2
+"""Value of the module's parameter AP for API frames with escapes."""
 
 
 class XbeeSection(Model):
@@ -27,31 +30,42 @@ class XbeeSection(Model):
     """Bits per second on the port."""
 
 
-SERIES_1 = (0x17, 0x18)  # first bytes of HV of modules of series 1
-FAMILIES = (  # HV codes of a family, and its protocol by the first digit of VR; "": by all others
-    (SERIES_1, {"": RIGHT_PROTOCOL, "8": "DigiMesh"}),
+SERIES_1_CODES = (0x17, 0x18)
+"""Hardware codes (first byte of HV) of the modules of series 1."""
+FAMILIES = (  # hardware codes of a family, and its protocol by the first digit of VR ("": others)
+    (SERIES_1_CODES, {"": REQUIRED_PROTOCOL, "8": "DigiMesh"}),
     ((0x19, 0x1A, 0x1E, 0x32, 0x33, 0x34, 0x35), {"": "Zigbee"}),  # Series 2, S2D
-    ((0x21, 0x22, 0x2D, 0x2E, 0x30), {"": "Zigbee", "2": RIGHT_PROTOCOL, "9": "DigiMesh"}),  # S2C
-    ((0x53,), {"": "Zigbee", "C": RIGHT_PROTOCOL, "B": "DigiMesh"}),  # S2C P5
-    ((0x41, 0x42, 0x43), {"": "Zigbee", "2": RIGHT_PROTOCOL, "3": "DigiMesh"}),  # XBee 3
-    ((0x52, 0x57), {"": "Zigbee", "2": RIGHT_PROTOCOL, "3": "DigiMesh"}),  # XBee RR
+    (
+        (0x21, 0x22, 0x2D, 0x2E, 0x30),
+        {"": "Zigbee", "2": REQUIRED_PROTOCOL, "9": "DigiMesh"},
+    ),  # S2C
+    ((0x53,), {"": "Zigbee", "C": REQUIRED_PROTOCOL, "B": "DigiMesh"}),  # S2C P5
+    ((0x41, 0x42, 0x43), {"": "Zigbee", "2": REQUIRED_PROTOCOL, "3": "DigiMesh"}),  # XBee 3
+    ((0x52, 0x57), {"": "Zigbee", "2": REQUIRED_PROTOCOL, "3": "DigiMesh"}),  # XBee RR
 )
 
 
-def protocols(hardware: bytes) -> dict[str, str]:
+def find_protocols(hardware: bytes) -> dict[str, str]:
     """Return the protocols of a module's family, keyed by the first digit of VR.
 
     The key "" stands for all other digits. The result is empty if the HV value is unknown.
     """
-    return next((named for codes, named in FAMILIES if hardware and hardware[0] in codes), {})
+    return next(
+        (
+            protocol_by_digit
+            for codes, protocol_by_digit in FAMILIES
+            if hardware and hardware[0] in codes
+        ),
+        {},
+    )
 
 
-def protocol(hardware: bytes, version: bytes) -> str | None:
+def find_protocol(hardware: bytes, version: bytes) -> str | None:
     """Return the name of a module's protocol from its HV and VR values. None if it is unknown.
 
     If VR is empty, the protocol is known only for families with a single protocol.
     """
-    candidates = protocols(hardware)
+    candidates = find_protocols(hardware)
     if len(candidates) > 1 and not version:
         return None
     return candidates.get(version.hex().upper()[:1], candidates.get(""))

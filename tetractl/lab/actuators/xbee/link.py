@@ -7,13 +7,13 @@ from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.xbee import api_frames as frames
 from tetractl.lab.actuators.xbee.hardware import (
-    BAUDS,
-    ESCAPED_FRAMES,
-    RIGHT_PROTOCOL,
-    SERIES_1,
+    BAUD_RATES,
+    ESCAPED_API_MODE,
+    REQUIRED_PROTOCOL,
+    SERIES_1_CODES,
     XbeeSection,
-    protocol,
-    protocols,
+    find_protocol,
+    find_protocols,
 )
 from tetractl.lab.serial_port import PortFactory, SerialPort
 from tetractl.tools.worker import WAITING_MAX, drained
@@ -23,29 +23,33 @@ MODULE_LOST_HINT = (
 )
 
 
-class Link:
+class XbeeLink:
     """A connection to the XBee radio module of this computer.
 
-    After a failure, which raises AbortError, nothing can be sent any more. `questions` about the
-    module are for the operator.
+    After a failure, which raises AbortError, nothing can be sent any more.
 
     Args:
         radio: The fields of the radio in the spec.
         clock: The clock for times [ns].
         ports: Creates the serial port. None for `SerialPort`.
+
+    Attributes:
+        questions: Questions about the module, which the operator has to confirm.
     """
 
     def __init__(self, radio: XbeeSection, clock: Clock, ports: PortFactory | None = None) -> None:
         self.radio = radio
         self.questions: tuple[str, ...] = ()
         self._decoder = frames.Decoder()
-        self._fresh: deque[bytes] = deque(maxlen=WAITING_MAX)
+        self._received_data: deque[bytes] = deque(maxlen=WAITING_MAX)
         self._answers: dict[tuple[int, bytes], bytes | None] = {}
         """Answers since the last request, by its number and two letters. None for an error."""
         self._frame_id = 0
         self._clock = clock
-        make = ports or SerialPort
-        self._port = make(radio.port, radio.baud, "the radio", clock, self._take, MODULE_LOST_HINT)
+        create_port = ports or SerialPort
+        self._port = create_port(
+            radio.port, radio.baud, "the radio", clock, self._process_bytes, MODULE_LOST_HINT
+        )
 
     @property
     def failure(self) -> str | None:
@@ -73,7 +77,7 @@ class Link:
         """
         return self._port.write(frames.encode(frames.BROADCAST + data))
 
-    def ask(self, command: bytes) -> bytes | None:
+    def request(self, command: bytes) -> bytes | None:
         """Request a parameter of the module, named by two letters, and return its value.
 
         The result is None if the module does not return a value within 0.3 s.
@@ -87,38 +91,38 @@ class Link:
         self._wait(lambda: awaited in self._answers, 0.3)
         return self._answers.get(awaited)
 
-    def ask_twice(self, command: bytes) -> bytes | None:
-        """Request a parameter of the module, and repeat the request once without an answer.
+    def request_twice(self, command: bytes) -> bytes | None:
+        """Request a parameter of the module. If no value is returned, repeat the request once.
 
         The result is None if no value is returned either time.
         """
-        return self.ask(command) or self.ask(command)
+        return self.request(command) or self.request(command)
 
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
-        return drained(self._fresh)
+        return drained(self._received_data)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait at most `timeout_s` until data from other modules can be fetched."""
-        self._wait(lambda: bool(self._fresh), timeout_s)
+        """Wait until data from other modules can be fetched, for at most `timeout_s` seconds."""
+        self._wait(lambda: bool(self._received_data), timeout_s)
 
     def close(self) -> None:
         """End the reading thread and release the port.
 
-        It may be called twice and never raises.
+        This method can be called twice, and never raises.
         """
         self._port.close()
 
-    def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:
-        wait_for(self._clock, lambda: done() or self.failure is not None, timeout_s)
+    def _wait(self, is_done: Callable[[], bool], timeout_s: float) -> None:
+        wait_for(self._clock, lambda: is_done() or self.failure is not None, timeout_s)
 
-    def _take(self, data: bytes, now: int) -> None:
+    def _process_bytes(self, data: bytes, now: int) -> None:
         for content in self._decoder.feed(data):
             if (answer := frames.answered(content)) is not None:
                 frame_id, command, value = answer
                 self._answers[frame_id, command] = value
             elif sent := frames.received(content):
-                self._fresh.append(sent)
+                self._received_data.append(sent)
 
     def _check(self) -> tuple[str, ...]:
         """Raise AbortError unless a suitable radio module answers.
@@ -129,28 +133,32 @@ class Link:
         once.
         """
         radio = self.radio
-        hardware = self._hardware()
+        hardware = self._request_hardware()
         questions = self._check_firmware(hardware)
-        code = self.ask(b"BD")
-        rate = None if code is None else int.from_bytes(code)
-        if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
+        baud_index_bytes = self.request(b"BD")
+        baud_index = None if baud_index_bytes is None else int.from_bytes(baud_index_bytes)
+        if (
+            baud_index is not None
+            and baud_index < len(BAUD_RATES)
+            and BAUD_RATES[baud_index] != radio.baud
+        ):
             raise AbortError(
-                f"{radio.port}: the module is set to {BAUDS[rate]} baud, but the spec says "
-                f"{radio.baud}",
-                f"set lab.actuator.baud to {BAUDS[rate]}, or change BD in the module",
+                f"{radio.port}: the module is set to {BAUD_RATES[baud_index]} baud, but the spec "
+                f"says {radio.baud}",
+                f"set lab.actuator.baud to {BAUD_RATES[baud_index]}, or change BD in the module",
             )
-        mode = self.ask_twice(b"AP")
-        if mode is None:
+        api_mode = self.request_twice(b"AP")
+        if api_mode is None:
             raise AbortError(
                 f"{radio.port}: the radio's module does not answer any more",
                 "does the module have power, and is its plug firm?",
             )
-        if int.from_bytes(mode) != ESCAPED_FRAMES:
+        if int.from_bytes(api_mode) != ESCAPED_API_MODE:
             raise AbortError(
                 f"{radio.port}: the XBee module is not in API mode with escapes (AP=2)",
                 "set the module's parameter AP to 2, with Digi's program XCTU",
             )
-        if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1:
+        if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1_CODES:
             raise AbortError(
                 f"{radio.port}: this is a Series 1 module, which loses API frames at 115200 baud",
                 "set the baud rate to 57600: in the module with BD=6, and in the spec with "
@@ -158,7 +166,7 @@ class Link:
             )
         return questions
 
-    def _hardware(self) -> bytes:
+    def _request_hardware(self) -> bytes:
         """Request the hardware version of the module, HV.
 
         Raises:
@@ -167,19 +175,19 @@ class Link:
         """
         radio = self.radio
         # the first request may be lost behind an incomplete frame
-        hardware = self.ask_twice(b"HV")
+        hardware = self.request_twice(b"HV")
         if hardware is not None:
             return hardware
-        silent = AbortError(
+        error = AbortError(
             f"{radio.port}: no XBee module answers at {radio.baud} baud or any other baud rate",
             "is the device an XBee, does it have power, and is it in API mode (AP=2)?",
         )
-        for baud in BAUDS[3:]:  # those that a spec may state, first a module's usual one
+        for baud in BAUD_RATES[3:]:  # those that a spec may state, first a module's usual one
             if baud == radio.baud:
                 continue
             self._port.set_baud(baud)
-            if self.ask(b"HV") is not None:
-                silent = AbortError(
+            if self.request(b"HV") is not None:
+                error = AbortError(
                     f"{radio.port}: the module answers at {baud} baud, but the spec says "
                     f"{radio.baud}",
                     f"set lab.actuator.baud to {baud}, or change BD in the module",
@@ -187,9 +195,9 @@ class Link:
                 break
         # a module that wakes late answers all requests at once, also those at another baud rate
         self._port.set_baud(radio.baud)
-        hardware = self.ask(b"HV")
+        hardware = self.request(b"HV")
         if hardware is None:
-            raise silent
+            raise error
         return hardware
 
     def _check_firmware(self, hardware: bytes) -> tuple[str, ...]:
@@ -199,19 +207,20 @@ class Link:
             A question for the operator if the firmware is unknown. Empty otherwise.
         """
         port = self.radio.port
-        version = self.ask(b"VR") or b""
-        runs = protocol(hardware, version)
-        if runs == RIGHT_PROTOCOL:
+        version = self.request(b"VR") or b""
+        protocol = find_protocol(hardware, version)
+        if protocol == REQUIRED_PROTOCOL:
             return ()
-        if runs is None:
+        if protocol is None:
             reported = version.hex().upper() or "not reported"
             module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
-            question = f"is not in tetractl's list: does it run {RIGHT_PROTOCOL} firmware?"
+            question = f"is not in tetractl's list: does it run {REQUIRED_PROTOCOL} firmware?"
             return (f"{port}: {module} {question}",)
-        cure = f"use a module that has {RIGHT_PROTOCOL} firmware: Series 1, S2C, XBee 3 or RR"
-        if RIGHT_PROTOCOL in protocols(hardware).values():
-            cure = f"load {RIGHT_PROTOCOL} firmware into the module with the program XCTU"
+        remedy = f"use a module that has {REQUIRED_PROTOCOL} firmware: Series 1, S2C, XBee 3 or RR"
+        if REQUIRED_PROTOCOL in find_protocols(hardware).values():
+            remedy = f"load {REQUIRED_PROTOCOL} firmware into the module with the program XCTU"
         raise AbortError(
-            f"{port}: the module runs {runs} firmware, but {RIGHT_PROTOCOL} firmware is needed",
-            f"the firmware of this module cannot broadcast wheel commands fast enough; {cure}",
+            f"{port}: the module runs {protocol} firmware, but {REQUIRED_PROTOCOL} firmware is "
+            "needed",
+            f"the firmware of this module cannot broadcast wheel commands fast enough; {remedy}",
         )

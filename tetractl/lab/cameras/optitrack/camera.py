@@ -24,14 +24,18 @@ from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
-from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, Stream
+from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, NatNetStream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack_message
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import WAITING_MAX, drained
 
-ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
-FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
-WAIT_S = 0.02  # longest wait for a datagram, after which a request to close is noticed [s]
+REQUEST_INTERVAL_NS = SECOND // 4
+"""Time after which an unanswered request is repeated [ns]."""
+INITIAL_ECHOES = 20
+"""Number of echoes that are requested quickly at first, so that the clock is known early."""
+SELECT_TIMEOUT_S = (
+    0.02  # longest wait for a datagram, after which a request to close is noticed [s]
+)
 
 
 class OptitrackCamera:
@@ -66,31 +70,31 @@ class OptitrackCamera:
             lambda turn: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         )
         self._unicast = section.transport == "unicast"
-        self._pinned = (
-            natnet.Version.of(section.version) if section.version and self._unicast else None
+        self._requested_version = (
+            natnet.Version.parse(section.version) if section.version and self._unicast else None
         )
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
-        self.stream = Stream(robots, placement, self._pinned, up)
-        self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
+        self.stream = NatNetStream(robots, placement, self._requested_version, up)
+        self._new_frames: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
-        self._due: dict[str, int] = {}
-        self._asked: Counter[str] = Counter()
-        self._next_ns = 0  # when a request is due again, if nothing comes
+        self._due_ns_by_request: dict[str, int] = {}
+        self._request_counts: Counter[str] = Counter()
+        self._next_request_ns = 0  # when a request is due again, if nothing comes
         self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
 
     @property
     def damaged(self) -> int:
         """Number of datagrams so far that could not be read."""
-        return self.stream.counts.bad
+        return self.stream.counts.unread
 
     def __enter__(self) -> Self:
-        """Connect, and return once frames arrive and the server's clock, axes and names are known.
+        """Connect, and wait until frames arrive and the server's clock, axes and names are known.
 
         Raises:
-            AbortError: If something is missing. The error names it, says what was received instead,
-                and which setting to change.
+            AbortError: If something is missing. The error says what is missing, what was received
+                instead, and which setting to change.
         """
         try:
             self.open()
@@ -104,7 +108,7 @@ class OptitrackCamera:
         """Open the network sockets, and start the requests and the reception of frames.
 
         Raises:
-            AbortError: If that fails.
+            AbortError: If the sockets cannot be opened.
         """
         try:
             self._open_sockets()
@@ -118,13 +122,13 @@ class OptitrackCamera:
             self._thread.start()
 
     def turn(self) -> None:
-        """Send the requests that are due and read what has arrived, without waiting.
+        """Send the due requests, and read the datagrams that have arrived, without waiting.
 
-        For cameras without a thread, which use sockets in memory. If the camera is not open,
-        nothing happens.
+        This method is for cameras without a thread, which use sockets in memory. If the camera is
+        not open, nothing happens.
         """
         if self._sockets:
-            self._chores()
+            self._send_due_requests()
         for endpoint in self._sockets:
             self._read(endpoint)
 
@@ -138,7 +142,7 @@ class OptitrackCamera:
         """
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
-            raise diagnosis.no_server(self.section, self.senders, timeout_s)
+            raise diagnosis.create_no_server_error(self.section, self.senders, timeout_s)
         if stream.version is not None and stream.version < natnet.OLDEST:
             raise AbortError(
                 f"the camera server uses protocol {stream.version}, whose frames do not say "
@@ -147,21 +151,21 @@ class OptitrackCamera:
                 f"update Motive to a version that has NatNet {natnet.OLDEST} or later (Motive 1.7)",
             )
         if not self._wait(lambda: stream.newest is not None, timeout_s):
-            raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
-        self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)
-        if stream.up is None:
+            raise diagnosis.create_no_frames_error(self.section, self.senders, stream, timeout_s)
+        self._wait(lambda: stream.model is not None and stream.up_axis is not None, timeout_s)
+        if stream.up_axis is None:
             raise diagnosis.create_up_axis_error(stream)
         if stream.model is None and any(isinstance(robot.body, str) for robot in stream.robots):
             raise diagnosis.create_names_error(stream, timeout_s)
-        if self.stream.sync is not None:
-            self._wait(lambda: self._asked["echo"] >= FIRST_ECHOES, timeout_s)
-        first = self.stream.counts.frames
-        if not self._wait(lambda: self.stream.counts.frames > first, timeout_s):
+        if self.stream.clock_sync is not None:
+            self._wait(lambda: self._request_counts["echo"] >= INITIAL_ECHOES, timeout_s)
+        frames_before = self.stream.counts.frames
+        if not self._wait(lambda: self.stream.counts.frames > frames_before, timeout_s):
             raise AbortError(f"the camera server has sent no new frames for {timeout_s:g} s")
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames received since the last call, oldest first."""
-        return drained(self._fresh)
+        return drained(self._new_frames)
 
     def __exit__(self, *_: object) -> None:
         """Disconnect and end the receiver's thread.
@@ -169,7 +173,7 @@ class OptitrackCamera:
         This method can be called twice, and never raises.
         """
         if self._sockets and not self._closing.is_set():
-            self._send(natnet.Bare(natnet.MessageKind.DISCONNECT))
+            self._send(natnet.BareMessage(natnet.MessageKind.DISCONNECT))
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -180,11 +184,11 @@ class OptitrackCamera:
     def check(self) -> Health:
         """Check the stream, for example whether all bodies are streamed; see `Device.check`."""
         stream = self.stream
-        sync = self.stream.sync
+        sync = self.stream.clock_sync
         problems = diagnosis.describe_missing_bodies(stream, self.names)
         warnings = diagnosis.describe_dropped_datagrams(self.senders, stream)
         round_trip = "unknown"
-        if sync is not None and sync.synced:
+        if sync is not None and sync.is_synced:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
         else:
             warnings.append(
@@ -209,19 +213,19 @@ class OptitrackCamera:
 
     def _open_sockets(self) -> None:
         section = self.section
-        command = self._make_socket(self.turn)
-        self._sockets.append(command)
-        command.bind((section.interface, 0))
+        command_socket = self._make_socket(self.turn)
+        self._sockets.append(command_socket)
+        command_socket.bind((section.interface, 0))
         if not self._unicast:
-            data = self._make_socket(self.turn)
-            self._sockets.append(data)
-            data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            data_socket = self._make_socket(self.turn)
+            self._sockets.append(data_socket)
+            data_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             # on Linux, a socket bound to the group receives only that; other systems refuse it
-            data.bind((section.group if sys.platform == "linux" else "", section.data_port))
+            data_socket.bind((section.group if sys.platform == "linux" else "", section.data_port))
             membership = struct.pack(
                 "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
             )
-            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            data_socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
         for endpoint in self._sockets:
             endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 18)
             endpoint.setblocking(False)
@@ -229,32 +233,32 @@ class OptitrackCamera:
     def _receive(self) -> None:
         while not self._closing.is_set():
             try:
-                self._chores()
-                ready, _, _ = select.select(self._sockets, [], [], WAIT_S)
-                for endpoint in ready:
+                self._send_due_requests()
+                readable_sockets, _, _ = select.select(self._sockets, [], [], SELECT_TIMEOUT_S)
+                for endpoint in readable_sockets:
                     self._read(endpoint)
             except (OSError, ValueError) as error:
                 if self._closing.is_set():
                     return
                 self.error = error if isinstance(error, OSError) else OSError(str(error))
-                self._closing.wait(WAIT_S)  # a network card that went down may come back
+                self._closing.wait(SELECT_TIMEOUT_S)  # a network card that went down may come back
 
-    def _read(self, ready: socket.socket) -> None:
+    def _read(self, udp_socket: socket.socket) -> None:
         while True:
             try:
-                datagram, (host, port) = ready.recvfrom(DATAGRAM_MAX)
+                datagram, (host, port) = udp_socket.recvfrom(DATAGRAM_MAX)
             except BlockingIOError:
                 return
             except ConnectionError:  # an ICMP "port unreachable" in answer to an earlier message
                 continue
             if not self.senders.accept(datagram, host, port):
                 continue
-            before = self.stream.newest
+            previous = self.stream.newest
             message = self.stream.feed(datagram, self._clock.now())
             newest = self.stream.newest
-            self._next_ns = 0
-            if newest is not None and newest is not before:
-                self._fresh.append(newest)
+            self._next_request_ns = 0
+            if newest is not None and newest is not previous:
+                self._new_frames.append(newest)
                 self.error = None
                 self._wake()
             if isinstance(message, natnet.NatNetFrame):
@@ -262,49 +266,61 @@ class OptitrackCamera:
             elif isinstance(message, natnet.ServerInfo) and self._unicast:
                 self.senders.fix_frames_port(message.data_port)
 
-    def _chores(self) -> None:
+    def _send_due_requests(self) -> None:
         """Send the requests to the camera's server that are due now."""
-        now = self._clock.now()
-        if now < self._next_ns:
+        now_ns = self._clock.now()
+        if now_ns < self._next_request_ns:
             return
-        wanted = list(self._requests(now))
-        for what, period_ns, message in wanted:
-            if now >= self._due.get(what, now):
-                self._due[what] = now + period_ns
-                self._asked[what] += 1
-                self.stream.asked(message)
+        requests = list(self._list_requests(now_ns))
+        for name, period_ns, message in requests:
+            if now_ns >= self._due_ns_by_request.get(name, now_ns):
+                self._due_ns_by_request[name] = now_ns + period_ns
+                self._request_counts[name] += 1
+                self.stream.record_request(message)
                 self._send(message)
-        self._next_ns = min((self._due[what] for what, _, _ in wanted), default=0)
+        self._next_request_ns = min(
+            (self._due_ns_by_request[name] for name, _, _ in requests), default=0
+        )
 
-    def _requests(self, now: int) -> Iterator[tuple[str, int, natnet.ClientMessage]]:
-        """Yield the requests that are due, each with its name and the time until its next one [ns].
+    def _list_requests(self, now_ns: int) -> Iterator[tuple[str, int, natnet.ClientMessage]]:
+        """Yield the requests to send at present: name, interval until it is repeated [ns], message.
 
-        They ask for missing information, for the server's time and, in unicast, keep the stream
-        running. Once names are known, the interval between requests for models doubles each time,
-        up to 8 s, because some servers report a change in every frame.
+        The requests ask for missing information and for the server's time. In unicast, they also
+        keep the stream running. Once names are known, the interval between requests for models
+        doubles each time, up to 8 s, because some servers report a change in every frame.
         """
         stream = self.stream
-        pinned = self._pinned
+        requested_version = self._requested_version
         if stream.info is None:
-            yield "connect", ASK_NS, natnet.Connect(pinned or natnet.NEWEST, pinned is not None)
+            yield (
+                "connect",
+                REQUEST_INTERVAL_NS,
+                natnet.Connect(requested_version or natnet.NEWEST, requested_version is not None),
+            )
             return
-        if stream.up is None:
-            yield "up", ASK_NS, natnet.NatNetRequest(UP_AXIS_SETTING)
-        elif stream.unit_mm is None and self._asked["unit"] < 4:  # some servers ignore it
-            yield "unit", ASK_NS, natnet.NatNetRequest(UNITS_SETTING)
+        if stream.up_axis is None:
+            yield "up", REQUEST_INTERVAL_NS, natnet.NatNetRequest(UP_AXIS_SETTING)
+        elif stream.unit_mm is None and self._request_counts["unit"] < 4:  # some servers ignore it
+            yield "unit", REQUEST_INTERVAL_NS, natnet.NatNetRequest(UNITS_SETTING)
         if stream.model is None:
-            yield "models", ASK_NS, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)
-        elif stream.models_changed or stream.changing or stream.missing():
-            wait_ns = ASK_NS << min(self._asked["models"], 5)
-            yield "models", wait_ns, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)
+            yield (
+                "models",
+                REQUEST_INTERVAL_NS,
+                natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF),
+            )
+        elif stream.models_changed or stream.is_changing or stream.list_missing_bodies():
+            wait_ns = REQUEST_INTERVAL_NS << min(self._request_counts["models"], 5)
+            yield "models", wait_ns, natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF)
         else:
-            self._asked["models"] = 0
-            self._due["models"] = min(self._due.get("models", now), now + ASK_NS)
+            self._request_counts["models"] = 0
+            self._due_ns_by_request["models"] = min(
+                self._due_ns_by_request.get("models", now_ns), now_ns + REQUEST_INTERVAL_NS
+            )
         if self._unicast:
-            yield "alive", SECOND, natnet.Bare(natnet.MessageKind.KEEPALIVE)
-        if stream.sync is not None:
-            often = self._asked["echo"] < FIRST_ECHOES
-            yield "echo", SECOND // 50 if often else SECOND // 2, natnet.EchoRequest(now)
+            yield "alive", SECOND, natnet.BareMessage(natnet.MessageKind.KEEPALIVE)
+        if stream.clock_sync is not None:
+            is_initial = self._request_counts["echo"] < INITIAL_ECHOES
+            yield "echo", SECOND // 50 if is_initial else SECOND // 2, natnet.EchoRequest(now_ns)
 
     def _send(self, message: natnet.ClientMessage) -> None:
         data = pack_message(message)
@@ -313,5 +329,5 @@ class OptitrackCamera:
         except OSError as error:
             self.error = error
 
-    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        return wait_for(self._clock, done, timeout_s)
+    def _wait(self, is_done: Callable[[], bool], timeout_s: float) -> bool:
+        return wait_for(self._clock, is_done, timeout_s)

@@ -5,14 +5,17 @@ from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import LAYOUTS
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
 from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
-from tetractl.lab.cameras.optitrack.stream import Stream
-from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.cameras.optitrack.stream import NatNetStream
+from tetractl.lab.cameras.optitrack.wire import parse_datagram
 from tetractl.spec.yaml.problems import SHOWN_LENGTH, did_you_mean
 
-BODIES_SHOWN_MAX = 12  # largest number of rigid bodies listed in a message
+BODIES_SHOWN_MAX = 12
+"""Maximum number of rigid bodies that a message lists."""
 
 
-def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float) -> AbortError:
+def create_no_server_error(
+    section: OptitrackSection, senders: SenderFilter, timeout_s: float
+) -> AbortError:
     """Create the error for a server that did not answer CONNECT.
 
     Args:
@@ -36,8 +39,8 @@ def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float
     )
 
 
-def no_frames(
-    section: OptitrackSection, senders: SenderFilter, stream: Stream, timeout_s: float
+def create_no_frames_error(
+    section: OptitrackSection, senders: SenderFilter, stream: NatNetStream, timeout_s: float
 ) -> AbortError:
     """Create the error for a server that answers but sends no usable frame.
 
@@ -51,17 +54,19 @@ def no_frames(
     refused = senders.find_main_refused_sender(sends_frames=True)
     if refused is not None and not stream.counts.unread_frames:
         sender, count = refused
-        fits = _find_fitting_protocol(senders.refused_frame, stream)
-        came = f"{count} frames came from {sender} within {timeout_s:g} s, and they fit {fits}"
+        protocol = _find_fitting_protocol(senders.refused_frame, stream)
+        description = (
+            f"{count} frames came from {sender} within {timeout_s:g} s, and they fit {protocol}"
+        )
         if sender.host != section.server:
             return AbortError(
-                f"{server}, but its frames come from another address: {came}",
+                f"{server}, but its frames come from another address: {description}",
                 f"set lab.camera.server to {sender.host}, or set the local interface in "
                 f"Motive to {section.server}",
             )
         return AbortError(
             f"{server}, but its frames do not come from the port that it reports, "
-            f"{senders.frames_port}: {came}",
+            f"{senders.frames_port}: {description}",
             f"set the data port in Motive to {sender.port}; or does a second program stream to it?",
         )
     if stream.counts.unread_frames:
@@ -74,10 +79,10 @@ def no_frames(
     )
 
 
-def _create_unread_error(server: str, stream: Stream, timeout_s: float) -> AbortError:
+def _create_unread_error(server: str, stream: NatNetStream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
     server_version = stream.info.version
-    protocol = _find_fitting_protocol(stream.unread_frame, stream)
+    protocol = _find_fitting_protocol(stream.last_unread_frame, stream)
     frames_text = (
         f"{stream.counts.unread_frames} frames came within {timeout_s:g} s, and they fit {protocol}"
     )
@@ -101,7 +106,7 @@ def _create_unread_error(server: str, stream: Stream, timeout_s: float) -> Abort
     )
 
 
-def _find_fitting_protocol(frame: bytes, stream: Stream) -> str:
+def _find_fitting_protocol(frame: bytes, stream: NatNetStream) -> str:
     """Find a protocol version that fits the layout of a frame, and return it as text.
 
     The server's own version is tried first.
@@ -109,35 +114,35 @@ def _find_fitting_protocol(frame: bytes, stream: Stream) -> str:
     reported = [] if stream.info is None else [stream.info.version]
     for version in (*reported, *reversed(LAYOUTS)):
         try:
-            parse(frame, version)
+            parse_datagram(frame, version)
         except WireError:
             continue
         return f"protocol {version}"
     return "no known protocol"
 
 
-def create_up_axis_error(stream: Stream) -> AbortError:
+def create_up_axis_error(stream: NatNetStream) -> AbortError:
     """Create the error for a server whose vertical axis is unknown or cannot be used."""
-    if stream.up_answer is None:
+    if stream.up_axis_answer is None:
         return AbortError(
             "the camera server does not report which of its axes points up",
             "set lab.camera.up_axis to y or z",
         )
-    axis = {0: "x"}.get(stream.up_answer, f"of number {stream.up_answer}")
+    axis = {0: "x"}.get(stream.up_axis_answer, f"of number {stream.up_axis_answer}")
     return AbortError(
         f"the camera server's up axis is {axis}; it must be y or z",
         "change Up Axis in Motive's streaming settings, not lab.camera.up_axis",
     )
 
 
-def create_names_error(stream: Stream, timeout_s: float) -> AbortError:
+def create_names_error(stream: NatNetStream, timeout_s: float) -> AbortError:
     """Create the error for a server that reports no names although the spec names bodies."""
     if stream.counts.unread_models:
         problem = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:
         problem = f"it did not answer a request for its rigid bodies within {timeout_s:g} s"
     names = ", ".join(f"'{robot.body}'" for robot in stream.robots if isinstance(robot.body, str))
-    streamed_ids = ", ".join(map(str, stream.seen[:BODIES_SHOWN_MAX])) or "none"
+    streamed_ids = ", ".join(map(str, stream.streamed_ids[:BODIES_SHOWN_MAX])) or "none"
     return AbortError(
         f"the names {names} cannot be found: the camera server streams frames, but {problem}",
         "use ids instead of names, as in lab.camera.robots.0.body; the frames contain the "
@@ -145,36 +150,40 @@ def create_names_error(stream: Stream, timeout_s: float) -> AbortError:
     )
 
 
-def list_bodies(stream: Stream) -> str:
-    """Return a line that lists the rigid bodies that the server has named or streamed.
+def list_bodies(stream: NatNetStream) -> str:
+    """List the rigid bodies that the server has named or streamed, in one line.
 
-    It is "none" if there are none. At most SHOWN bodies are listed.
+    At most BODIES_SHOWN_MAX bodies are listed. The line is "none" if there are no bodies.
     """
     names_by_id = (
-        {} if stream.model is None else {number: name for name, number in stream.model.bodies}
+        {} if stream.model is None else {body_id: name for name, body_id in stream.model.bodies}
     )
-    numbers = tuple(dict.fromkeys((*names_by_id, *stream.seen)))
+    body_ids = tuple(dict.fromkeys((*names_by_id, *stream.streamed_ids)))
     listed = [
-        _describe_body(number, names_by_id.get(number), number in stream.seen)
-        for number in numbers[:BODIES_SHOWN_MAX]
+        _describe_body(body_id, names_by_id.get(body_id), body_id in stream.streamed_ids)
+        for body_id in body_ids[:BODIES_SHOWN_MAX]
     ]
-    omitted = [f"{len(numbers) - BODIES_SHOWN_MAX} more"] if len(numbers) > BODIES_SHOWN_MAX else []
+    omitted = (
+        [f"{len(body_ids) - BODIES_SHOWN_MAX} more"] if len(body_ids) > BODIES_SHOWN_MAX else []
+    )
     return "; ".join((*listed, *omitted)) or "none"
 
 
-def _describe_body(number: int, name: str | None, streamed: bool) -> str:
-    body = f"id {number}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {number})"
-    return body if streamed else f"{body}, not streamed"
+def _describe_body(body_id: int, name: str | None, is_streamed: bool) -> str:
+    description = (
+        f"id {body_id}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {body_id})"
+    )
+    return description if is_streamed else f"{description}, not streamed"
 
 
-def describe_missing_bodies(stream: Stream, names: tuple[str, ...]) -> list[str]:
+def describe_missing_bodies(stream: NatNetStream, names: tuple[str, ...]) -> list[str]:
     """Describe each robot whose rigid body is missing from the newest frame, one line each.
 
     A line states whether the server has the body (if not, the most similar name or id), and which
     bodies the server has. The result is empty before MODELDEF has arrived. `names` are the names of
     the stream's robots.
     """
-    if stream.model is None or not (missing := stream.missing()):
+    if stream.model is None or not (missing := stream.list_missing_bodies()):
         return []
     named_robots = zip(names, stream.robots, strict=True)
     problems = [
@@ -190,7 +199,7 @@ def describe_missing_bodies(stream: Stream, names: tuple[str, ...]) -> list[str]
 
 
 def _describe_missing_body(
-    stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRobot
+    stream: NatNetStream, model: natnet.ModelDef, name: str, robot: TrackedRobot
 ) -> str:
     body = robot.body
     ids = model.ids()
@@ -203,7 +212,7 @@ def _describe_missing_body(
         suggestion = did_you_mean(body, unassigned)
     else:
         description = f"rigid body with id {body} for {name}"
-        closest = min(stream.seen, key=lambda number: abs(number - body), default=None)
+        closest = min(stream.streamed_ids, key=lambda number: abs(number - body), default=None)
         suggestion = "" if closest is None else f"; the nearest id is {closest}"
     if body in ids or body in ids.values():
         problem = f"do not stream the {description}: switch it on in Motive"
@@ -212,10 +221,11 @@ def _describe_missing_body(
     return f"the cameras {problem}; they have {list_bodies(stream)}"
 
 
-def describe_dropped_datagrams(senders: SenderFilter, stream: Stream) -> list[str]:
-    """Return warnings about dropped datagrams, one line each. Empty if none was dropped.
+def describe_dropped_datagrams(senders: SenderFilter, stream: NatNetStream) -> list[str]:
+    """Describe dropped datagrams, in one line for each reason.
 
-    They came from unknown senders, or were answers without a request.
+    A datagram is dropped if it comes from an unknown sender, or answers no request. The result is
+    empty if no datagram was dropped.
     """
     warnings: list[str] = []
     if senders.refused:
@@ -224,6 +234,8 @@ def describe_dropped_datagrams(senders: SenderFilter, stream: Stream) -> list[st
             f"{senders.refused.total()} datagrams did not come from the camera server and "
             f"were dropped; most came from {sender}"
         )
-    if stream.counts.unasked:
-        warnings.append(f"{stream.counts.unasked} answers came without a request and were dropped")
+    if stream.counts.unrequested:
+        warnings.append(
+            f"{stream.counts.unrequested} answers came without a request and were dropped"
+        )
     return warnings

@@ -12,7 +12,8 @@ from tetractl.core.elementary import atan2, cos, sin
 from tetractl.core.poses import Pose
 
 Vec3 = tuple[float, float, float]
-NORM_TOLERANCE = 1e-3  # largest deviation of a quaternion's norm from 1: its numbers are float32
+NORM_TOLERANCE = 1e-3
+"""Maximum deviation of a quaternion's norm from 1. Its numbers are float32."""
 
 
 class Version(NamedTuple):
@@ -23,24 +24,26 @@ class Version(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether the layout of this version's messages is known.
+        """Whether this program knows the layout of the version's messages.
 
-        Newer ones are read as 4.3.
+        Messages of newer versions are read as 4.3.
         """
         return OLDEST <= self <= NEWEST
 
     @classmethod
-    def of(cls, text: str) -> Self:
+    def parse(cls, version_text: str) -> Self:
         """Parse a version that is written as `major.minor`."""
-        major, minor = text.split(".")
+        major, minor = version_text.split(".")
         return cls(int(major), int(minor))
 
     def __str__(self) -> str:
         return f"{self.major}.{self.minor}"
 
 
-OLDEST = Version(2, 6)  # frames of older versions do not say which bodies are tracked
-NEWEST = Version(4, 3)  # newest version of the protocol whose frames are read
+OLDEST = Version(2, 6)
+"""Oldest supported version. Frames of older versions do not report which bodies are tracked."""
+NEWEST = Version(4, 3)
+"""Newest version of the protocol whose layout is known."""
 
 
 class MessageKind(IntEnum):
@@ -84,8 +87,12 @@ class RigidBody:
 class NatNetFrame:
     """One camera frame of an OptiTrack server.
 
-    `exposure` is the middle of its exposure, in ticks of the server's clock. It is None before
-    NatNet 3.0. `ServerInfo.clock_hz` is the number of ticks per second.
+    Attributes:
+        number: Number of the frame.
+        bodies: The rigid bodies in the frame.
+        params: Bit field: bit 1 is set if bodies have changed, bit 2 in edit mode.
+        exposure: Middle of the exposure, on the server's clock [ticks]. None before NatNet 3.0.
+            `ServerInfo.clock_hz` is the number of ticks per second.
     """
 
     number: int
@@ -99,17 +106,19 @@ class NatNetFrame:
         return bool(self.params & 2)
 
     @property
-    def edit_mode(self) -> bool:
+    def is_edit_mode(self) -> bool:
         """Whether Motive is in edit mode, in which it streams a recording, not the robots."""
         return bool(self.params & 4)
 
 
 @dataclass(frozen=True, slots=True)
 class ModelDef:
-    """The rigid bodies that a server streams, as pairs of a name and the body's id in frames.
+    """The list of the rigid bodies that an OptiTrack server streams (message MODELDEF).
 
-    Before NatNet 4.1, a message can contain a data set of unknown layout and size, at which reading
-    has to end. Then `complete` is False, and the server may stream bodies that are missing here.
+    Attributes:
+        bodies: The name of each body, and its id in frames.
+        complete: Whether the whole message was read. Before NatNet 4.1, reading has to end at a
+            data set of unknown layout and size. The server may then stream further bodies.
     """
 
     bodies: tuple[tuple[str, int], ...]
@@ -122,10 +131,12 @@ class ModelDef:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """The client's first message to an OptiTrack server.
+    """The client's first message to an OptiTrack server, to which the server answers ServerInfo.
 
-    If `version` is `pinned`, servers from NatNet 4.0 on stream in that version. This holds for
-    unicast only.
+    Attributes:
+        version: Version of the protocol that the client uses.
+        pinned: Whether the server has to stream in this version. Only servers since NatNet 4.0 do,
+            and only in unicast.
     """
 
     version: Version = NEWEST
@@ -165,9 +176,10 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class EchoRequest:
-    """A request for the time of the camera server, by which the clocks are compared.
+    """A request for the time of the camera server, to compare the clocks.
 
-    `client` is the host's time [ns], which the answer repeats.
+    Attributes:
+        client: The host's time [ns], which the answer repeats.
     """
 
     client: int
@@ -187,14 +199,14 @@ class EchoResponse:
 
 
 @dataclass(frozen=True, slots=True)
-class Bare:
-    """A message whose payload is not read, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
+class BareMessage:
+    """A message without a payload that matters, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
 
     kind: MessageKind
 
 
-ClientMessage = Connect | NatNetRequest | EchoRequest | Bare
-ServerMessage = ServerInfo | ModelDef | NatNetFrame | Response | EchoResponse | Bare
+ClientMessage = Connect | NatNetRequest | EchoRequest | BareMessage
+ServerMessage = ServerInfo | ModelDef | NatNetFrame | Response | EchoResponse | BareMessage
 
 
 class UpAxis(IntEnum):
@@ -229,18 +241,18 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
     if not abs(math.hypot(qx, qy, qz, qw) - 1.0) <= NORM_TOLERANCE:  # false for NaN as well
         return None
     if up is UpAxis.Z:
-        along = y
+        floor_y = y
         height = z
-        sine = qw * qz + qx * qy
-        lean = qx * qx + qy * qy
+        half_sine = qw * qz + qx * qy
+        half_tilt_term = qx * qx + qy * qy
     else:
-        along = -z
+        floor_y = -z
         height = y
-        sine = qw * qy - qx * qz
-        lean = qx * qx + qz * qz
-    heading = atan2(2.0 * sine, 1.0 - 2.0 * (qy * qy + qz * qz))
-    tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * lean)))
-    return Pose(x, along, math.remainder(heading + heading_offset, math.tau), height, tilt)
+        half_sine = qw * qy - qx * qz
+        half_tilt_term = qx * qx + qz * qz
+    heading = atan2(2.0 * half_sine, 1.0 - 2.0 * (qy * qy + qz * qz))
+    tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * half_tilt_term)))
+    return Pose(x, floor_y, math.remainder(heading + heading_offset, math.tau), height, tilt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,12 +272,15 @@ class Placement:
     scale: float
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
-        """Compute a body's pose in the spec's coordinates. None if the body is untracked.
+        """Compute the pose of a rigid body in the spec's coordinates.
 
         Args:
             body: The rigid body.
             up: The server's vertical axis.
             heading_offset: Angle added to the heading [rad].
+
+        Returns:
+            The pose. None if the body is untracked.
         """
         planar = planar_pose(body, up, heading_offset)
         if planar is None:

@@ -18,11 +18,14 @@ from typing import Any, NamedTuple
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
 
-NAME_MAX = 255  # bytes, without the closing NUL
+NAME_MAX = 255
+"""Maximum length of a name, without the closing NUL [bytes]."""
 I32 = Struct("<i")
-POSE = Struct("<i7f")  # id, position, quaternion
+POSE = Struct("<i7f")
+"""Layout of a rigid body's id, position and quaternion."""
 ERROR_AND_PARAMS = Struct("<fH")
-BODY = POSE.size + ERROR_AND_PARAMS.size  # bytes of a rigid body without markers
+BODY = POSE.size + ERROR_AND_PARAMS.size
+"""Size of a rigid body without markers [bytes]."""
 
 
 class Layout(NamedTuple):
@@ -30,31 +33,31 @@ class Layout(NamedTuple):
 
     Attributes:
         suffix: The end of a frame, whose last two fields are its params and an i32.
-        channels: Number of sections of channels in a frame (force plates, devices).
-        timed: True since 3.0: the fourth field of the suffix is the time of exposure, rigid bodies
-            no longer contain their markers, and labelled markers end with an error.
-        sized: True since 4.1: frames have a section of assets, and sections and data sets state
-            their size.
+        channel_section_count: Number of sections of channels in a frame (force plates, devices).
+        has_exposure_time: True since 3.0: the fourth field of the suffix is the time of exposure,
+            rigid bodies no longer contain their markers, and labelled markers end with an error.
+        has_sizes: True since 4.1: frames have a section of assets, and sections and data sets
+            contain their size.
     """
 
     suffix: Struct
-    channels: int = 2
-    timed: bool = False
-    sized: bool = False
+    channel_section_count: int = 2
+    has_exposure_time: bool = False
+    has_sizes: bool = False
 
 
-LAYOUTS = {  # by the first version of each
-    natnet.OLDEST: Layout(Struct("<fIIfHi"), channels=0),
-    natnet.Version(2, 7): Layout(Struct("<fIIdHi"), channels=0),
-    natnet.Version(2, 9): Layout(Struct("<fIIdHi"), channels=1),
+LAYOUTS = {  # by the first version that has the layout
+    natnet.OLDEST: Layout(Struct("<fIIfHi"), channel_section_count=0),
+    natnet.Version(2, 7): Layout(Struct("<fIIdHi"), channel_section_count=0),
+    natnet.Version(2, 9): Layout(Struct("<fIIdHi"), channel_section_count=1),
     natnet.Version(2, 11): Layout(Struct("<fIIdHi")),
-    natnet.Version(3, 0): Layout(Struct("<IIdQQQHi"), timed=True),
-    natnet.Version(4, 1): Layout(Struct("<IIdQQQIIHi"), timed=True, sized=True),
+    natnet.Version(3, 0): Layout(Struct("<IIdQQQHi"), has_exposure_time=True),
+    natnet.Version(4, 1): Layout(Struct("<IIdQQQIIHi"), has_exposure_time=True, has_sizes=True),
 }
 
 
 @cache  # for each frame and body
-def layout_of(version: natnet.Version) -> Layout:
+def find_layout(version: natnet.Version) -> Layout:
     """Find the layout of messages that a version of NatNet uses.
 
     Raises:
@@ -88,20 +91,20 @@ class Cursor:
     Args:
         data: The payload.
         end: Position at which reading ends. None for the end of the payload.
-        begin: Position at which reading begins.
+        start: Position at which reading begins.
     """
 
-    __slots__ = ("at", "data", "end")
+    __slots__ = ("data", "end", "position")
 
-    def __init__(self, data: bytes, end: int | None = None, begin: int = 0) -> None:
+    def __init__(self, data: bytes, end: int | None = None, start: int = 0) -> None:
         self.data = data
-        self.at = begin
+        self.position = start
         self.end = len(data) if end is None else end
 
     @property
-    def left(self) -> int:
+    def remaining(self) -> int:
         """Number of bytes from the present position to the end of reading."""
-        return self.end - self.at
+        return self.end - self.position
 
     def skip(self, size: int) -> None:
         """Move forward by `size` bytes.
@@ -109,88 +112,88 @@ class Cursor:
         Raises:
             WireError: If fewer bytes remain.
         """
-        if not 0 <= size <= self.left:
-            raise WireError(f"{size} bytes expected, but only {self.left} remain")
-        self.at += size
+        if not 0 <= size <= self.remaining:
+            raise WireError(f"{size} bytes expected, but only {self.remaining} remain")
+        self.position += size
 
-    def take(self, layout: Struct) -> tuple[Any, ...]:
+    def read(self, layout: Struct) -> tuple[Any, ...]:
         """Read one structure at the present position, and return its fields.
 
         Raises:
             WireError: If fewer bytes remain.
         """
-        start = self.at
+        start = self.position
         self.skip(layout.size)
         return layout.unpack_from(self.data, start)
 
-    def i32(self) -> int:
+    def read_i32(self) -> int:
         """Read a signed 32-bit integer at the present position."""
-        return self.take(I32)[0]
+        return self.read(I32)[0]
 
-    def count(self, smallest: int) -> int:
-        """Read the number of elements, each of at least `smallest` bytes.
+    def read_count(self, size_min: int) -> int:
+        """Read the number of elements, each of at least `size_min` bytes.
 
         This limits loops and memory by the datagram's size.
 
         Raises:
             WireError: If the elements do not fit into the rest of the payload.
         """
-        count = self.i32()
-        self._require(count, smallest, self.left)
+        count = self.read_i32()
+        self._require(count, size_min, self.remaining)
         return count
 
-    def size(self, count: int, smallest: int) -> int:
-        """Read the size [bytes] of a part with `count` elements of at least `smallest` bytes.
+    def read_size(self, count: int, size_min: int) -> int:
+        """Read the size [bytes] of a part with `count` elements of at least `size_min` bytes.
 
         Raises:
             WireError: If the elements do not fit into this size, or this size into the payload.
         """
-        size = self.i32()
-        self._require(count, smallest, size)
+        size = self.read_i32()
+        self._require(count, size_min, size)
         return size
 
-    def _require(self, count: int, smallest: int, size: int) -> None:
-        if not 0 <= count * smallest <= size <= self.left:
+    def _require(self, count: int, size_min: int, size: int) -> None:
+        if not 0 <= count * size_min <= size <= self.remaining:
             raise WireError(
-                f"{count} elements of {smallest} bytes or more in {size} bytes; "
-                f"{self.left} bytes remain in the packet"
+                f"{count} elements of {size_min} bytes or more in {size} bytes; "
+                f"{self.remaining} bytes remain in the packet"
             )
 
     def skip_elements(self, size: int) -> None:
         """Read a number of elements, and skip that many elements of `size` bytes each."""
-        self.skip(self.count(size) * size)
+        self.skip(self.read_count(size) * size)
 
-    def skip_sized(self, smallest: int) -> None:
+    def skip_sized(self, size_min: int) -> None:
         """Skip a part of the message that states its number of elements, and then its size.
 
-        Each element has at least `smallest` bytes.
+        Each element has at least `size_min` bytes.
         """
-        count = self.count(smallest)
-        self.skip(self.size(count, smallest))
+        count = self.read_count(size_min)
+        self.skip(self.read_size(count, size_min))
 
-    def part(self) -> "Cursor":
-        """Read the size of a part, move past the part, and return a cursor on it."""
-        size = self.size(count=0, smallest=0)
-        part = Cursor(self.data, end=self.at + size, begin=self.at)
+    def read_part(self) -> "Cursor":
+        """Read the size of a part of the message, skip it, and return a cursor to read the part."""
+        size = self.read_size(count=0, size_min=0)
+        part = Cursor(self.data, end=self.position + size, start=self.position)
         self.skip(size)
         return part
 
     def skip_names(self) -> None:
         """Read a number of names, and skip that many names, as in lists of markers."""
-        for _ in range(self.count(1)):
-            self.name()
+        for _ in range(self.read_count(1)):
+            self.read_name()
 
-    def name(self) -> str:
+    def read_name(self) -> str:
         """Read a name that ends with a zero byte.
 
         Raises:
             WireError: If it has more than NAME_MAX bytes, or no zero byte follows.
         """
-        start = self.at
+        start = self.position
         stop = self.data.find(b"\0", start, min(self.end, start + NAME_MAX + 1))
         if stop < 0:
             raise WireError(f"a name of more than {NAME_MAX} bytes, or without its closing NUL")
-        self.at = stop + 1
+        self.position = stop + 1
         return self.data[start:stop].decode("utf-8", "replace")
 
 
@@ -200,29 +203,31 @@ def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
     Raises:
         WireError: If the payload does not fit the layout of the version.
     """
-    layout = layout_of(version)
+    layout = find_layout(version)
     cursor = Cursor(payload, len(payload) - layout.suffix.size)
-    number = cursor.i32()
-    read_sections = _read_sized if layout.sized else _read_measured
+    number = cursor.read_i32()
+    read_sections = _read_sized if layout.has_sizes else _read_measured
     bodies = read_sections(cursor, layout)
-    if cursor.left:
-        raise WireError(f"{cursor.left} bytes between the last section and the suffix")
+    if cursor.remaining:
+        raise WireError(f"{cursor.remaining} bytes between the last section and the suffix")
     fields = layout.suffix.unpack_from(payload, cursor.end)
-    return natnet.NatNetFrame(number, bodies, fields[-2], fields[3] if layout.timed else None)
+    return natnet.NatNetFrame(
+        number, bodies, fields[-2], fields[3] if layout.has_exposure_time else None
+    )
 
 
 def _read_sized(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
     """Read the rigid bodies of a frame since version 4.1, where sections contain their sizes."""
     cursor.skip_sized(MARKER_SET_MIN)
     cursor.skip_sized(MARKER)  # unlabelled markers
-    count = cursor.count(BODY)
-    if cursor.size(count, BODY) != count * BODY:
+    count = cursor.read_count(BODY)
+    if cursor.read_size(count, BODY) != count * BODY:
         raise WireError("the stated size of the rigid bodies is wrong")
-    bodies = tuple(_body(cursor, layout) for _ in range(count))
+    bodies = tuple(_read_body(cursor, layout) for _ in range(count))
     cursor.skip_sized(SKELETON_MIN)
     cursor.skip_sized(ASSET_MIN)
     cursor.skip_sized(LABELLED_MARKER)
-    for _ in range(layout.channels):
+    for _ in range(layout.channel_section_count):
         cursor.skip_sized(CHANNELS_MIN)
     return bodies
 
@@ -232,29 +237,29 @@ def _read_measured(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ..
 
     The other sections are skipped element by element.
     """
-    for _ in range(cursor.count(MARKER_SET_MIN)):
-        cursor.name()
+    for _ in range(cursor.read_count(MARKER_SET_MIN)):
+        cursor.read_name()
         cursor.skip_elements(MARKER)
     cursor.skip_elements(MARKER)  # unlabelled markers
-    bodies = tuple(_body(cursor, layout) for _ in range(cursor.count(BODY)))
-    for _ in range(cursor.count(SKELETON_MIN)):
+    bodies = tuple(_read_body(cursor, layout) for _ in range(cursor.read_count(BODY)))
+    for _ in range(cursor.read_count(SKELETON_MIN)):
         cursor.skip(I32.size)
-        for _ in range(cursor.count(BODY)):
-            _body(cursor, layout)
-    cursor.skip_elements(LABELLED_MARKER if layout.timed else LABELLED_MARKER_BEFORE_3)
-    for _ in range(layout.channels):
-        for _ in range(cursor.count(CHANNELS_MIN)):
+        for _ in range(cursor.read_count(BODY)):
+            _read_body(cursor, layout)
+    cursor.skip_elements(LABELLED_MARKER if layout.has_exposure_time else LABELLED_MARKER_BEFORE_3)
+    for _ in range(layout.channel_section_count):
+        for _ in range(cursor.read_count(CHANNELS_MIN)):
             cursor.skip(I32.size)
-            for _ in range(cursor.count(CHANNEL_MIN)):
+            for _ in range(cursor.read_count(CHANNEL_MIN)):
                 cursor.skip_elements(SAMPLE)
     return bodies
 
 
-def _body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
-    number, *pose = cursor.take(POSE)
-    if not layout.timed:
+def _read_body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
+    number, *pose = cursor.read(POSE)
+    if not layout.has_exposure_time:
         cursor.skip_elements(MARKER_OF_BODY_BEFORE_3)
-    _, params = cursor.take(ERROR_AND_PARAMS)
+    _, params = cursor.read(ERROR_AND_PARAMS)
     return natnet.RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
 
 
@@ -262,7 +267,7 @@ MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)
 
 
 class SkippedLayout(NamedTuple):
-    """How long a description of something other than a rigid body is, so that it can be skipped.
+    """The layout of a description in MODELDEF that is skipped, because it is no rigid body.
 
     Protocols before 4.1 do not send its length, so it follows from the parts: bytes, names that
     end with a zero byte, bytes again, and for some kinds a list of names.
@@ -280,7 +285,7 @@ class SkippedLayout(NamedTuple):
     ends_with_names: bool
 
 
-SKIPPED = {
+SKIPPED = {  # by the type of the description
     MARKER_SET: SkippedLayout(0, 1, 0, ends_with_names=True),
     # after the name of a force plate: size, origin, matrix, corners, types
     FORCE_PLATE: SkippedLayout(4, 1, 652, ends_with_names=True),
@@ -297,25 +302,25 @@ def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
     Raises:
         WireError: If the payload does not fit the layout of the version.
     """
-    layout = layout_of(version)
-    known_kinds = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}
+    layout = find_layout(version)
+    skippable_types = {*SKIPPED} if layout.has_exposure_time else {MARKER_SET, CAMERA}
     cursor = Cursor(payload)
     bodies: list[tuple[str, int]] = []
-    for _ in range(cursor.count(DESCRIPTION_MIN)):
-        kind = cursor.i32()
-        if layout.sized:
-            description = cursor.part()
-            if kind == RIGID_BODY:
-                bodies.append(_named(description))
-        elif kind == RIGID_BODY:
-            bodies.append(_described(cursor, version))
-        elif kind == SKELETON:
-            cursor.name()
+    for _ in range(cursor.read_count(DESCRIPTION_MIN)):
+        description_type = cursor.read_i32()
+        if layout.has_sizes:
+            description = cursor.read_part()
+            if description_type == RIGID_BODY:
+                bodies.append(_read_name_and_id(description))
+        elif description_type == RIGID_BODY:
+            bodies.append(_read_description(cursor, version))
+        elif description_type == SKELETON:
+            cursor.read_name()
             cursor.skip(I32.size)
-            for _ in range(cursor.count(BODY_DESCRIPTION_MIN)):
-                _described(cursor, version)
-        elif kind in known_kinds:
-            _skip_description(cursor, SKIPPED[kind])
+            for _ in range(cursor.read_count(BODY_DESCRIPTION_MIN)):
+                _read_description(cursor, version)
+        elif description_type in skippable_types:
+            _skip_description(cursor, SKIPPED[description_type])
         else:
             return natnet.ModelDef(tuple(bodies), complete=False)
     return natnet.ModelDef(tuple(bodies))
@@ -325,28 +330,28 @@ def _skip_description(cursor: Cursor, layout: SkippedLayout) -> None:
     """Skip a data set in a version that does not state its size."""
     cursor.skip(layout.bytes_before)
     for _ in range(layout.names):
-        cursor.name()
+        cursor.read_name()
     cursor.skip(layout.bytes_after)
     if layout.ends_with_names:
         cursor.skip_names()
 
 
-def _named(cursor: Cursor) -> tuple[str, int]:
+def _read_name_and_id(cursor: Cursor) -> tuple[str, int]:
     """Read the name and id of a body, and skip the id of its parent."""
-    named = cursor.name(), cursor.i32()
+    named = cursor.read_name(), cursor.read_i32()
     cursor.skip(4)
     return named
 
 
-def _described(cursor: Cursor, version: natnet.Version) -> tuple[str, int]:
+def _read_description(cursor: Cursor, version: natnet.Version) -> tuple[str, int]:
     """Read a body's complete description, in a version without sizes, and return name and id."""
-    named = _named(cursor)
+    named = _read_name_and_id(cursor)
     cursor.skip(POSITION)
     if version < (3, 0):
         return named
-    markers = cursor.count(MARKER_DESCRIPTION)
+    markers = cursor.read_count(MARKER_DESCRIPTION)
     cursor.skip(markers * MARKER_DESCRIPTION)
     if version >= (4, 0):
         for _ in range(markers):
-            cursor.name()
+            cursor.read_name()
     return named

@@ -19,8 +19,10 @@ Port = Annotated[int, Field(ge=1, le=65_535)]
 def _version_as_text(value: Any) -> Any:
     """Convert a protocol version that YAML has read as a number, such as 4.1, to text."""
     if value in (2.1, 2.2):
-        text = f"must be at least 2.5; if {value}0 is meant, put it in quotes: YAML reads {value}"
-        raise ValueError(text)
+        message = (
+            f"must be at least 2.5; if {value}0 is meant, put it in quotes: YAML reads {value}"
+        )
+        raise ValueError(message)
     return str(float(value)) if isinstance(value, int | float) else value
 
 

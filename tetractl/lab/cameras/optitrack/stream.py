@@ -20,9 +20,10 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.wire import parse, read_number
+from tetractl.lab.cameras.optitrack.wire import parse_datagram, read_number
 
-DRIFT_MAX = 1e-3  # largest drift between the server's clock and ours [s/s]
+DRIFT_MAX = 1e-3
+"""Maximum drift between the server's clock and the host's [s/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +44,25 @@ class Echo:
 class ClockSync:
     """Converts times of a server's clock [ticks] to times of the host's clock [ns].
 
-    It needs one echo before the first conversion.
+    The conversion needs at least one echo.
+
+    Args:
+        clock_hz: Rate of the server's clock [ticks/s].
+
+    Attributes:
+        drift: Gain of the server's clock on the host's [s/s].
+        fault: Description of the first fault of the server's clock. Empty if it has none.
+        is_synced: Whether an echo was added, so that `to_host` can convert times.
     """
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
-        self.drift = 0.0  # gain of the server's clock on the host's [s/s]
-        self.fault = ""  # description of the clock's first fault
-        self.synced = False  # whether there was an echo, so that `to_host` can convert times
+        self.drift = 0.0
+        self.fault = ""
+        self.is_synced = False
         self._resolution_ns = 2 * SECOND // clock_hz + 1
         self._echoes: deque[Echo] = deque(maxlen=120)
-        self._at = Echo(0, 0, 0)
+        self._reference_echo = Echo(0, 0, 0)
 
     @property
     def round_trip_ns(self) -> int:
@@ -61,12 +70,12 @@ class ClockSync:
 
         Half of it is the maximum error near that echo.
         """
-        return self._at.round_trip_ns
+        return self._reference_echo.round_trip_ns
 
     def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
         """Add an exchange of times with the server, and update the conversion.
 
-        It is ignored if the answer took more than a second.
+        The exchange is ignored if the answer took more than a second.
 
         Args:
             sent_ns: When the host sent the request [ns].
@@ -80,23 +89,23 @@ class ClockSync:
         echo = Echo(halfway, server_ns, returned_ns - sent_ns)
         self.fault = self.fault or self._find_contradiction(echo)
         self._echoes.append(echo)
-        self.synced = True
+        self.is_synced = True
         fastest_echoes = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
         # the quarter with the shortest round trips
         fastest_echoes = fastest_echoes[: max(1, round(0.25 * len(fastest_echoes)))]
-        self._at = max(fastest_echoes, key=lambda echo: echo.host_ns)
+        self._reference_echo = max(fastest_echoes, key=lambda echo: echo.host_ns)
         self.drift = _fit_drift(fastest_echoes)
 
     def to_host(self, ticks: int) -> int:
         """Return the host time [ns] at which the server's clock showed `ticks`."""
-        server_offset_ns = ticks * SECOND // self.clock_hz - self._at.server_ns
-        return self._at.host_ns + round(server_offset_ns / (1.0 + self.drift))
+        server_offset_ns = ticks * SECOND // self.clock_hz - self._reference_echo.server_ns
+        return self._reference_echo.host_ns + round(server_offset_ns / (1.0 + self.drift))
 
     def error_ns(self, host_ns: int) -> int:
         """Return the maximum error of `to_host` for times near a host time [ns]."""
         # the error of `drift` is at most twice DRIFT_MAX
-        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)
-        return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
+        drifted = 2 * DRIFT_MAX * abs(host_ns - self._reference_echo.host_ns)
+        return self._reference_echo.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _find_contradiction(self, new_echo: Echo) -> str:
         """Return a message if the server's clock jumped or runs at a wrong rate, else "".
@@ -129,11 +138,11 @@ def _fit_drift(echoes: list[Echo]) -> float:
         max(host_offsets_ns) - min(host_offsets_ns) < 5 * SECOND
     ):  # too short a span for a fit of the drift
         return 0.0
-    gained = [
-        (echo.server_ns - first_echo.server_ns) - x
-        for echo, x in zip(echoes, host_offsets_ns, strict=True)
+    gained_ns = [
+        (echo.server_ns - first_echo.server_ns) - host_offset_ns
+        for echo, host_offset_ns in zip(echoes, host_offsets_ns, strict=True)
     ]
-    slope = statistics.linear_regression(host_offsets_ns, gained).slope
+    slope = statistics.linear_regression(host_offsets_ns, gained_ns).slope
     return max(-DRIFT_MAX, min(DRIFT_MAX, slope))
 
 
@@ -145,25 +154,35 @@ EDIT_MODE = "Motive is in edit mode, in which it streams a recording"
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Counts of received frames, and of datagrams that were dropped or could not be read."""
+    """Counts of received frames, and of datagrams that were dropped or could not be read.
+
+    Attributes:
+        frames: Number of frames that were used.
+        unread: Number of datagrams that could not be read.
+        unrequested: Number of answers that were dropped, because no open request matches.
+        unread_frames: Number of unread datagrams that contain a frame.
+        unread_models: Number of unread datagrams that contain a MODELDEF.
+    """
 
     frames: int = 0
-    bad: int = 0  # datagrams that are not NatNet messages
-    unasked: int = 0  # answers without an open request
-    unread_frames: int = 0  # bad datagrams that were frames
-    unread_models: int = 0  # bad datagrams that were models
+    unread: int = 0
+    unrequested: int = 0
+    unread_frames: int = 0
+    unread_models: int = 0
 
 
 class OpenRequests:
-    """The requests to a server that are not answered yet.
+    """The requests to an OptiTrack server that are not answered yet.
 
-    Of text requests, only the last is kept.
+    Only the last of the text requests is kept.
     """
 
     def __init__(self) -> None:
         self._text: str | None = None
-        self._counts: Counter[type[natnet.ServerMessage]] = Counter()  # by their answers
-        self._echoes: deque[int] = deque(maxlen=64)  # times in requests for the server's
+        self._counts: Counter[type[natnet.ServerMessage]] = Counter()
+        """Number of open requests, by the type of the answer."""
+        self._echoes: deque[int] = deque(maxlen=64)
+        """The host's times in open echo requests [ns]."""
 
     def add(self, request: natnet.ClientMessage) -> None:
         """Record a request that was sent to the server, until its answer arrives."""
@@ -172,7 +191,7 @@ class OpenRequests:
                 self._text = text
             case natnet.Connect():
                 self._counts[natnet.ServerInfo] += 1
-            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
+            case natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF):
                 self._counts[natnet.ModelDef] += 1
             case natnet.EchoRequest(client):
                 self._echoes.append(client)
@@ -204,10 +223,10 @@ class OpenRequests:
         return request
 
 
-class Stream:
+class NatNetStream:
     """The information that an OptiTrack server has sent so far, and its newest frame.
 
-    `feed` never raises, whatever the datagram is. Times are ns on the host's clock.
+    Pass each datagram to `feed`, which never raises. Times are in ns on the host's clock.
 
     Args:
         robots: The robots, with their rigid bodies.
@@ -216,12 +235,12 @@ class Stream:
         up: The vertical axis that the spec states. None if it states none.
 
     Attributes:
-        up_answer: The server's answer to `UpAxis`.
+        up_axis_answer: The server's answer to `UpAxis`.
         unit_mm: The server's unit of length [mm].
         models_changed: Whether bodies have changed since the last MODELDEF.
-        changing: Whether the newest frame reports a change.
-        seen: Ids of the bodies in the newest frame.
-        unread_frame: The newest frame that could not be read.
+        is_changing: Whether the newest frame reports a change.
+        streamed_ids: Ids of the bodies in the newest frame.
+        last_unread_frame: The newest frame that could not be read.
     """
 
     def __init__(
@@ -236,39 +255,48 @@ class Stream:
         self.info: natnet.ServerInfo | None = None
         self.version: natnet.Version | None = None
         """The protocol version of the server's frames. None before SERVERINFO has arrived."""
-        self.up = up
-        self.up_answer: int | None = None
+        self.up_axis = up
+        self.up_axis_answer: int | None = None
         self.unit_mm: float | None = None
         self.model: natnet.ModelDef | None = None
         self.models_changed = False
-        self.changing = False
-        self.seen: tuple[int, ...] = ()
-        self.unread_frame = b""
-        self.sync: ClockSync | None = None
+        self.is_changing = False
+        self.streamed_ids: tuple[int, ...] = ()
+        self.last_unread_frame = b""
+        self.clock_sync: ClockSync | None = None
         self.newest: CameraFrame | None = None
         self._placement = placement
-        self._pinned = pinned
+        self._requested_version = pinned
         self._ids: dict[str, int] = {}  # the bodies of the model
         self._requests = OpenRequests()
         self._fault = ""
-        self._mistimed = 0  # number of successive frames with an impossible time
-        self._twins = ""  # fault text if two bodies have one name, otherwise ""
+        self._implausible_times = 0  # number of successive frames with an impossible time
+        self._duplicate_fault = ""  # fault text if two bodies have one name, otherwise ""
 
-    def number(self, body: str | int) -> int | None:
-        """Return the id in frames of a body, given by name or id.
+    def find_id(self, body: str | int) -> int | None:
+        """Find the id that a rigid body has in frames.
 
-        None if the name is unknown.
+        Args:
+            body: Name or id of the body.
+
+        Returns:
+            The id. None if the name is unknown.
         """
         if isinstance(body, int):
             return body
         return self._ids.get(body)
 
-    def missing(self) -> list[str | int]:
+    def list_missing_bodies(self) -> list[str | int]:
         """Return the robots' bodies that are not in the newest frame, in the robots' order."""
-        return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
+        return [
+            robot.body for robot in self.robots if self.find_id(robot.body) not in self.streamed_ids
+        ]
 
-    def asked(self, message: natnet.ClientMessage) -> None:
-        """Record a request that was sent. Only answers to recorded requests are accepted."""
+    def record_request(self, message: natnet.ClientMessage) -> None:
+        """Record a request that was sent to the server.
+
+        Answers are accepted only if their request was recorded.
+        """
         self._requests.add(message)
 
     def feed(self, datagram: bytes, received_ns: int) -> natnet.ServerMessage | None:
@@ -282,11 +310,11 @@ class Stream:
             received_ns: When it was received, on the host's clock [ns].
         """
         try:
-            message = parse(datagram, self.version)
+            message = parse_datagram(datagram, self.version)
             if not self._requests.close(message):
-                self.counts.unasked += 1
+                self.counts.unrequested += 1
                 return None
-            self._take(message, received_ns)
+            self._process(message, received_ns)
         except WireError:
             self._count_unread(datagram)
             return None
@@ -299,40 +327,40 @@ class Stream:
             natnet.MessageKind.MODELDEF,
         ):
             return  # the version is not known yet
-        self.counts.bad += 1
+        self.counts.unread += 1
         if message_kind == natnet.MessageKind.FRAME:
             self.counts.unread_frames += 1
-            self.unread_frame = datagram
+            self.last_unread_frame = datagram
         elif message_kind == natnet.MessageKind.MODELDEF:
             self.counts.unread_models += 1
 
-    def _take(self, message: natnet.ServerMessage, received_ns: int) -> None:
+    def _process(self, message: natnet.ServerMessage, received_ns: int) -> None:
         match message:
             case natnet.NatNetFrame():
-                self._take_frame(message, received_ns)
+                self._process_frame(message, received_ns)
             case natnet.ServerInfo() if self.info is None:
-                self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
+                self.clock_sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
-                self.version = self._pinned or message.version
+                self.version = self._requested_version or message.version
             case natnet.ModelDef():
                 self._ids = message.ids()
                 self.model = message
                 self.models_changed = False
-                self._twins = self._find_twins(message)
-            case natnet.EchoResponse(client, server) if self.sync is not None:
-                self.sync.add(client, received_ns, server)
-                self._fault = self._fault or self.sync.fault
+                self._duplicate_fault = self._find_duplicate_names(message)
+            case natnet.EchoResponse(client, server) if self.clock_sync is not None:
+                self.clock_sync.add(client, received_ns, server)
+                self._fault = self._fault or self.clock_sync.fault
             case natnet.Response():
-                self._take_response(message)
+                self._process_response(message)
             case _:
                 pass
 
-    def _take_response(self, response: natnet.Response) -> None:
+    def _process_response(self, response: natnet.Response) -> None:
         request = self._requests.take_text()
-        if request == UP_AXIS_SETTING and self.up is None:
-            self.up_answer = int(read_number(response, "i"))
-            if self.up_answer in (UpAxis.Y, UpAxis.Z):
-                self.up = UpAxis(self.up_answer)
+        if request == UP_AXIS_SETTING and self.up_axis is None:
+            self.up_axis_answer = int(read_number(response, "i"))
+            if self.up_axis_answer in (UpAxis.Y, UpAxis.Z):
+                self.up_axis = UpAxis(self.up_axis_answer)
         elif request == UNITS_SETTING:
             unit_mm = read_number(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
@@ -344,7 +372,7 @@ class Stream:
                     "of metres"
                 )
 
-    def _take_frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
+    def _process_frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
         sampled_ns = self._find_exposure(frame, received_ns)
         previous = self.newest
         if previous is not None and frame.number <= previous.number:
@@ -356,21 +384,21 @@ class Stream:
             )
         self.counts.frames += 1
         self.models_changed |= frame.models_changed
-        self.changing = frame.models_changed
-        self.seen = tuple(body.id for body in frame.bodies)
+        self.is_changing = frame.models_changed
+        self.streamed_ids = tuple(body.id for body in frame.bodies)
         self.newest = self._build_camera_frame(frame, sampled_ns, received_ns)
 
     def _find_exposure(self, frame: natnet.NatNetFrame, received_ns: int) -> int:
-        if frame.exposure is None or self.sync is None or not self.sync.synced:
+        if frame.exposure is None or self.clock_sync is None or not self.clock_sync.is_synced:
             return received_ns
-        sampled_ns = self.sync.to_host(frame.exposure)
+        sampled_ns = self.clock_sync.to_host(frame.exposure)
         age_ns = received_ns - sampled_ns
-        if -self.sync.error_ns(received_ns) <= age_ns <= AGE_MAX_NS:
-            self._mistimed = 0
+        if -self.clock_sync.error_ns(received_ns) <= age_ns <= AGE_MAX_NS:
+            self._implausible_times = 0
             return min(received_ns, sampled_ns)
-        self._mistimed += 1
+        self._implausible_times += 1
         age_text = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
-        if self._mistimed < 5:  # a damaged frame, not yet a wrong clock
+        if self._implausible_times < 5:  # a damaged frame, not yet a wrong clock
             raise WireError(f"the exposure time of a frame is not plausible: {age_text}")
         self._fault = self._fault or (
             f"according to the camera server's clock, frames were exposed {age_text}: the clock "
@@ -378,10 +406,10 @@ class Stream:
         )
         return received_ns
 
-    def _find_twins(self, model: natnet.ModelDef) -> str:
+    def _find_duplicate_names(self, model: natnet.ModelDef) -> str:
         """Return a message if two bodies have the same name as one robot's body, otherwise ""."""
         for robot in self.robots:
-            ids = [number for name, number in model.bodies if name == robot.body]
+            ids = [body_id for name, body_id in model.bodies if name == robot.body]
             if len(ids) > 1:
                 id_list = " and ".join(map(str, ids))
                 description = f"rigid bodies named '{robot.body}', of ids {id_list}"
@@ -393,23 +421,30 @@ class Stream:
     ) -> CameraFrame:
         poses: list[Pose | None] = []
         unknown_bodies = list(frame.bodies)
-        twins = self._twins
+        duplicate_fault = self._duplicate_fault
         for robot in self.robots:
-            number = self.number(robot.body)
-            with_number = [body for body in frame.bodies if body.id == number]
-            unknown_bodies = [body for body in unknown_bodies if body.id != number]
-            if len(with_number) > 1:
-                twins = twins or f"a frame has {len(with_number)} rigid bodies of id {number}"
-            if len(with_number) != 1 or self.up is None:
+            body_id = self.find_id(robot.body)
+            matching_bodies = [body for body in frame.bodies if body.id == body_id]
+            unknown_bodies = [body for body in unknown_bodies if body.id != body_id]
+            if len(matching_bodies) > 1:
+                duplicate_fault = (
+                    duplicate_fault
+                    or f"a frame has {len(matching_bodies)} rigid bodies of id {body_id}"
+                )
+            if len(matching_bodies) != 1 or self.up_axis is None:
                 poses.append(None)
             else:
-                poses.append(self._placement.pose(with_number[0], self.up, robot.heading_offset))
-        unknown_poses = [self._placement.pose(body, self.up) for body in unknown_bodies if self.up]
+                poses.append(
+                    self._placement.pose(matching_bodies[0], self.up_axis, robot.heading_offset)
+                )
+        unknown_poses = [
+            self._placement.pose(body, self.up_axis) for body in unknown_bodies if self.up_axis
+        ]
         return CameraFrame(
             number=frame.number,
             sampled_ns=sampled_ns,
             received_ns=received_ns,
             poses=tuple(poses),
             unknown_objects=tuple(pose for pose in unknown_poses if pose is not None),
-            fault=self._fault or (EDIT_MODE if frame.edit_mode else "") or twins,
+            fault=self._fault or (EDIT_MODE if frame.is_edit_mode else "") or duplicate_fault,
         )

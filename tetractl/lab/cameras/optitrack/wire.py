@@ -7,16 +7,22 @@ from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import NAME_MAX, parse_frame, parse_modeldef
 
-HEADER = struct.Struct("<HH")  # message id, payload bytes
-DATAGRAM_MAX = 65_507  # largest payload of a UDP datagram over IPv4 [bytes]
-SENDER_FIELDS = "256s4B4B"  # name, application version, NatNet version
+HEADER = struct.Struct("<HH")
+"""Layout of a datagram's header: message id, number of payload bytes."""
+DATAGRAM_MAX = 65_507
+"""Maximum payload of a UDP datagram over IPv4 [bytes]."""
+SENDER_FIELDS = "256s4B4B"
+"""Layout of the sender's description: name, application version, NatNet version."""
 SENDER = struct.Struct("<" + SENDER_FIELDS)
-SERVER_INFO = struct.Struct("<QH5x")  # clock, data port; multicast and its group are not read
-ECHO = struct.Struct("<QQ")  # our time and the server's
-TEXT_MAX = 256  # longest text in a field of a request or a sender [bytes]
+SERVER_INFO = struct.Struct("<QH5x")
+"""Layout of SERVERINFO after the sender: clock rate, data port. The multicast group is not read."""
+ECHO = struct.Struct("<QQ")
+"""Layout of an echo: the client's time and the server's."""
+TEXT_MAX = 256
+"""Maximum length of the text in a field of a request or a sender [bytes]."""
 
 
-def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.ServerMessage:
+def parse_datagram(datagram: bytes, version: natnet.Version | None = None) -> natnet.ServerMessage:
     """Decode one datagram from a camera server.
 
     Args:
@@ -27,12 +33,12 @@ def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.Serv
     Raises:
         WireError: If the datagram cannot be read. Nothing else is raised.
     """
-    kind, payload = split(datagram)
-    match kind:
+    message_kind, payload = split_datagram(datagram)
+    match message_kind:
         case natnet.MessageKind.FRAME:
-            return parse_frame(payload, _known(version, kind))
+            return parse_frame(payload, _require_version(version, message_kind))
         case natnet.MessageKind.MODELDEF:
-            return parse_modeldef(payload, _known(version, kind))
+            return parse_modeldef(payload, _require_version(version, message_kind))
         case natnet.MessageKind.SERVER_INFO:
             return _parse_server_info(payload)
         case natnet.MessageKind.RESPONSE:
@@ -40,16 +46,19 @@ def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.Serv
         case natnet.MessageKind.ECHO_RESPONSE:
             return natnet.EchoResponse(*unpack_fields(ECHO, payload))
         case _:
-            return natnet.Bare(kind)
+            return natnet.BareMessage(message_kind)
 
 
-def _known(version: natnet.Version | None, kind: natnet.MessageKind) -> natnet.Version:
-    """Return the protocol version, or raise an error if it is unknown.
+def _require_version(
+    version: natnet.Version | None, message_kind: natnet.MessageKind
+) -> natnet.Version:
+    """Return the protocol version, which is needed to read a kind of message.
 
-    Messages of this kind cannot be read without a version.
+    Raises:
+        WireError: If the version is unknown.
     """
     if version is None:
-        raise WireError(f"{kind.name} received before the protocol version is known")
+        raise WireError(f"{message_kind.name} received before the protocol version is known")
     return version
 
 
@@ -57,8 +66,8 @@ def _parse_server_info(payload: bytes) -> natnet.ServerInfo:
     name, reported_version = read_sender(payload)
     if reported_version < (3, 0):
         return natnet.ServerInfo(name, reported_version, 0, 0)
-    rest = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
-    return natnet.ServerInfo(name, reported_version, *unpack_fields(SERVER_INFO, rest))
+    info_payload = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
+    return natnet.ServerInfo(name, reported_version, *unpack_fields(SERVER_INFO, info_payload))
 
 
 def pack_message(message: natnet.ClientMessage) -> bytes:
@@ -73,16 +82,16 @@ def pack_message(message: natnet.ClientMessage) -> bytes:
             return pack_datagram(
                 natnet.MessageKind.CONNECT, pack_sender("tetractl", version) + bitstream
             )
-        case natnet.NatNetRequest(text):
-            return pack_datagram(natnet.MessageKind.REQUEST, pack_name(text))
-        case natnet.EchoRequest(client):
-            return pack_datagram(natnet.MessageKind.ECHO_REQUEST, pack_fields("Q", client))
-        case natnet.Bare(kind):
-            size = SENDER.size if kind is natnet.MessageKind.KEEPALIVE else 1
-            return pack_datagram(kind, bytes(size))
+        case natnet.NatNetRequest(command):
+            return pack_datagram(natnet.MessageKind.REQUEST, pack_name(command))
+        case natnet.EchoRequest(host_ns):
+            return pack_datagram(natnet.MessageKind.ECHO_REQUEST, pack_fields("Q", host_ns))
+        case natnet.BareMessage(message_kind):
+            size = SENDER.size if message_kind is natnet.MessageKind.KEEPALIVE else 1
+            return pack_datagram(message_kind, bytes(size))
 
 
-def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
+def split_datagram(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
     """Split a datagram into the kind of its message and its payload.
 
     Raises:
@@ -100,7 +109,7 @@ def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
         raise WireError(f"unknown message id {code}") from None
 
 
-def pack_datagram(kind: natnet.MessageKind, payload: bytes) -> bytes:
+def pack_datagram(message_kind: natnet.MessageKind, payload: bytes) -> bytes:
     """Put a header in front of a payload.
 
     Raises:
@@ -108,7 +117,7 @@ def pack_datagram(kind: natnet.MessageKind, payload: bytes) -> bytes:
     """
     if len(payload) + HEADER.size > DATAGRAM_MAX:
         raise WireError(f"a payload of {len(payload)} bytes does not fit in a datagram")
-    return pack_fields("HH", kind, len(payload)) + payload
+    return pack_fields("HH", message_kind, len(payload)) + payload
 
 
 def read_number(response: natnet.Response, layout: str) -> float:
@@ -154,10 +163,10 @@ def pack_name(name: str) -> bytes:
     Raises:
         WireError: If the name is longer than NAME_MAX bytes or contains a NUL.
     """
-    raw = name.encode("utf-8", "replace")
-    if len(raw) > NAME_MAX or b"\0" in raw:
+    encoded = name.encode("utf-8", "replace")
+    if len(encoded) > NAME_MAX or b"\0" in encoded:
         raise WireError(f"a name has at most {NAME_MAX} bytes and no NUL, unlike {name[:40]!r}")
-    return raw + b"\0"
+    return encoded + b"\0"
 
 
 def pack_sender(name: str, version: natnet.Version) -> bytes:
@@ -175,13 +184,13 @@ def read_sender(payload: bytes) -> tuple[str, natnet.Version]:
     return read_text(name), natnet.Version(*versions[4:6])
 
 
-def read_text(raw: bytes) -> str:
+def read_text(field: bytes) -> str:
     """Read the text up to the first NUL, or up to the end if there is none.
 
     Raises:
         WireError: If the text has more than TEXT_MAX bytes.
     """
-    text = raw.partition(b"\0")[0]
-    if len(text) > TEXT_MAX:
+    content = field.partition(b"\0")[0]
+    if len(content) > TEXT_MAX:
         raise WireError("the text is too long for its field")
-    return text.decode("utf-8", "replace")
+    return content.decode("utf-8", "replace")

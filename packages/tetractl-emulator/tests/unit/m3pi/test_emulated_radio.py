@@ -23,7 +23,7 @@ from tetractl_emulator.port import uart_ns
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, decode_command, encode_command
 from tetractl.lab.actuators.xbee.api_frames import AT_COMMAND, BROADCAST, Decoder, encode
-from tetractl.lab.cobs import Flag, Splitter
+from tetractl.lab.cobs import Flag, FrameSplitter
 
 BAUD = 57600
 DRIVE = encode_command(BroadcastCommand(5, Flag.RUN, ((20, 30), (-4, 0))))
@@ -237,7 +237,7 @@ def test_another_program_stops_and_drives_all_robots():
     radio.timeline.run_to(SECOND)
     green, blue = radio.heard()
     assert green == blue
-    stop, drive = (decode_command(Splitter().feed(data)[0]) for data in green)
+    stop, drive = (decode_command(FrameSplitter().feed(data)[0]) for data in green)
     assert (stop.sequence, stop.flags) == (4, Flag.EMERGENCY_STOP)
     assert (drive.sequence, drive.flags) == (9, Flag.RUN)
     assert drive.wheels == ((7, -8),) * 4  # robots are numbered up to 3

@@ -18,8 +18,8 @@ from tetractl.lab.actuators.xbee.api_frames import (
     encode,
 )
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
-from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.cobs import Flag, Splitter
+from tetractl.lab.actuators.xbee.link import XbeeLink
+from tetractl.lab.cobs import Flag, FrameSplitter
 
 SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", b"AP": b"\x02"}
 
@@ -41,7 +41,7 @@ class Module:
         self.loses = lambda content: False  # whether a question to the module is lost
 
     def opened(self, **radio):
-        link = Link(XbeeSection(port=self.name, **radio), self.clock, self._ports)
+        link = XbeeLink(XbeeSection(port=self.name, **radio), self.clock, self._ports)
         link.open()
         return link
 
@@ -116,7 +116,7 @@ def test_a_broadcast_puts_every_robot_at_its_number():
     radio = Module()
     link = radio.opened()
     Broadcaster(link, radio.clock, [2, 0]).drive([(10, -20), (30, 40)])
-    (frame,) = Splitter().feed(radio.sent[0].removeprefix(BROADCAST))
+    (frame,) = FrameSplitter().feed(radio.sent[0].removeprefix(BROADCAST))
     assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
 
 
@@ -209,7 +209,7 @@ def test_a_late_answer_is_not_one_at_the_next_baud_rate(wakes_after):
     radio = Sleepy(wakes_after)
     link = radio.opened()
     assert radio.port_of_link.bits_a_second == 57600
-    assert link.ask(b"AP") == b"\x02"
+    assert link.request(b"AP") == b"\x02"
 
 
 def test_robots_are_asked_again_if_the_computer_slept_meanwhile():

@@ -3,7 +3,7 @@
 import pytest
 from testkit.emulator.natnet_samples import every_version, full_frame
 
-from tetractl.lab.cameras.optitrack.wire import HEADER, parse
+from tetractl.lab.cameras.optitrack.wire import HEADER, parse_datagram
 
 pytest.importorskip("natnet", reason="the PyPI package natnet is not installed")
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 @every_version
 def test_frames_are_read_alike(version):
     packed = full_frame(version)
-    ours = parse(packed, version)
+    ours = parse_datagram(packed, version)
     theirs = DataFrame.read_from_buffer(PacketBuffer(packed[HEADER.size :]), TheirVersion(*version))
     assert theirs.prefix.frame_number == ours.number
     assert [

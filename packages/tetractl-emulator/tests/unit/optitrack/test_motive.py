@@ -13,7 +13,7 @@ from tetractl_emulator.sides import Options, Stage
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.wire import pack_message, parse
+from tetractl.lab.cameras.optitrack.wire import pack_message, parse_datagram
 from tetractl.spec.load import parse_spec
 
 TICKS_PER_MS = 10_000  # of the server's clock
@@ -36,7 +36,9 @@ class Client:
         gathered = []
         with suppress(BlockingIOError):
             while True:
-                gathered.append(parse(self.socket.recvfrom(65_535)[0], self.motive.own_version))
+                gathered.append(
+                    parse_datagram(self.socket.recvfrom(65_535)[0], self.motive.own_version)
+                )
         return gathered
 
     def comes(self, kind):
@@ -62,12 +64,14 @@ def test_unicast_clients_time_out_and_are_kept_alive(client):
         client.send(natnet.Connect())
         assert client.comes(natnet.ServerInfo)
         clock.sleep_until(clock.now() + 4 * SECOND)
-        client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))
+        client.send(natnet.BareMessage(natnet.MessageKind.KEEPALIVE))
         clock.sleep_until(clock.now() + 4 * SECOND)
         client.got()
         assert client.comes(natnet.NatNetFrame)
         assert clock.wait(lambda: not motive.clients)
-        client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))  # too late: it has to connect again
+        client.send(
+            natnet.BareMessage(natnet.MessageKind.KEEPALIVE)
+        )  # too late: it has to connect again
         client.send(natnet.NatNetRequest("UpAxis"))
         assert client.comes(natnet.Response)
         assert not motive.clients

@@ -144,7 +144,11 @@ def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
         (blue,) = (body for body in lab.camera.tracked if body.robot.name == "blue")
         blue.asset.is_streamed = False
         lab.camera.names = (("Green", 1), ("hand", 9))
-        assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
+        assert clock.wait(
+            lambda: (
+                camera.stream.list_missing_bodies() == [7] and len(camera.stream.streamed_ids) == 1
+            )
+        )
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
         assert "know no rigid body with id 7 for blue; the nearest id is 1;" in problem

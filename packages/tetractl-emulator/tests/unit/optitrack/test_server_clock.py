@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.stream import ClockSync, Stream
+from tetractl.lab.cameras.optitrack.stream import ClockSync, NatNetStream
 
 pytestmark = pytest.mark.slow
 
@@ -35,7 +35,7 @@ class OnItsWay:
 
 
 class Server:
-    """Stands for a camera server that answers echoes and sends frames, heard by a real `Stream`.
+    """Stands for a camera server that answers echoes and sends frames to a real `NatNetStream`.
 
     Its clock against the host's: `ahead` [ns] and `rate` may change at any time. Frames may be
     dated otherwise: `ticks_of_frame` returns the ticks of one by its number and host time [ns].
@@ -43,10 +43,10 @@ class Server:
 
     def __init__(self, seed=1, delay_ms=(0.1, 0.5)):
         self.now = 0
-        self.stream = Stream(
+        self.stream = NatNetStream(
             (TrackedRobot(name="robot", body=7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z
         )
-        self.stream.asked(natnet.Connect())
+        self.stream.record_request(natnet.Connect())
         self.stream.feed(pack_answer(natnet.ServerInfo("Motive", V41, HZ, 1511)), 0)
         self.ahead = 5 * 3600 * SECOND
         self.rate = 1.0
@@ -92,7 +92,7 @@ class Server:
     def _echo(self):
         self._echoes += 1
         self._next_echo = self.now + (BURST_NS if self._echoes < BURST else ECHO_NS)
-        self.stream.asked(natnet.EchoRequest(self.now))
+        self.stream.record_request(natnet.EchoRequest(self.now))
         answered_ns = self.now + self._delay_ns()
         answer = natnet.EchoResponse(self.now, self.ticks(answered_ns))
         self._send(answered_ns + self._delay_ns(), answer)
@@ -120,7 +120,7 @@ def test_a_clock_that_jumps_forward_is_a_fault_within_a_tenth_of_a_second(jump_s
     fault = server.stream.newest.fault
     assert "frames were exposed" in fault
     assert "after reception: the clock was set, or runs at a wrong rate" in fault
-    assert server.stream.counts.bad == 4  # dropped before the fault is certain
+    assert server.stream.counts.unread == 4  # dropped before the fault is certain
 
 
 @pytest.mark.parametrize("rate", [1.02, 1.005, 0.995, 0.98])
@@ -141,7 +141,7 @@ def test_single_frames_of_a_wrong_time_are_dropped_and_are_no_fault():
 
     server.ticks_of_frame = ticks_of_frame
     assert server.until(2) is None
-    assert server.stream.counts.bad == 24
+    assert server.stream.counts.unread == 24
 
 
 @pytest.mark.long
@@ -153,7 +153,7 @@ def test_a_good_clock_is_no_fault_however_late_echoes_are(drift, delay_ms, seed)
     server = Server(seed, delay_ms)
     server.run_at(1 + drift)
     assert server.until(50) is None
-    assert server.stream.counts.bad == 0
+    assert server.stream.counts.unread == 0
 
 
 delays_ns = st.integers(0, 3 * MS)

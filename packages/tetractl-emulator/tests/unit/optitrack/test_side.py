@@ -16,7 +16,7 @@ from tetractl_emulator.virtual_lab import LabClock, create_memory_wires
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.wire import pack_message, parse
+from tetractl.lab.cameras.optitrack.wire import pack_message, parse_datagram
 from tetractl.spec.load import parse_spec
 
 OWN = ("127.0.0.1", 41_000)
@@ -73,7 +73,7 @@ class Motive:
                 data, _ = client.recvfrom(65_535)
                 is_frame = data[:2] == struct.pack("<H", KIND.FRAME)
                 if is_frame == frames:
-                    heard.append(parse(data, self.side.own_version))
+                    heard.append(parse_datagram(data, self.side.own_version))
         return heard
 
     def run(self, seconds):
@@ -97,8 +97,8 @@ def test_a_client_gets_frames_once_it_has_connected_and_none_after_it_has_left()
     motive.run(0.5)
     assert len(motive.heard(client)) == pytest.approx(60, abs=2)
     assert motive.heard(other) == []
-    motive.ask(client, natnet.Bare(KIND.DISCONNECT))
-    motive.ask(client, natnet.Bare(KIND.DISCONNECT))
+    motive.ask(client, natnet.BareMessage(KIND.DISCONNECT))
+    motive.ask(client, natnet.BareMessage(KIND.DISCONNECT))
     motive.run(0.1)
     assert motive.heard(client) == []
     assert motive.side.close()["frames"] == pytest.approx(0.7 * 120, abs=2)
@@ -111,11 +111,11 @@ def test_a_silent_client_is_dropped_after_five_seconds_and_counted():
         motive.ask(each, natnet.Connect())
     motive.run(4.9)
     assert len(motive.side.clients) == 2
-    motive.ask(alive, natnet.Bare(KIND.KEEPALIVE))
+    motive.ask(alive, natnet.BareMessage(KIND.KEEPALIVE))
     motive.run(0.3)
     assert list(motive.side.clients) == [alive.getsockname()]
     assert motive.side.counts["timed_out"] == 1
-    motive.ask(client, natnet.Bare(KIND.KEEPALIVE))  # it has to connect again
+    motive.ask(client, natnet.BareMessage(KIND.KEEPALIVE))  # it has to connect again
     assert len(motive.side.clients) == 1
 
 
@@ -167,10 +167,10 @@ def test_questions_are_answered_to_anybody():
     (unit,) = motive.ask(client, natnet.NatNetRequest("UnitsToMillimeters"))
     (axis,) = motive.ask(client, natnet.NatNetRequest("UpAxis"))
     (other,) = motive.ask(client, natnet.NatNetRequest("FrameRate"))
-    (model,) = motive.ask(client, natnet.Bare(KIND.REQUEST_MODELDEF))
+    (model,) = motive.ask(client, natnet.BareMessage(KIND.REQUEST_MODELDEF))
     assert struct.unpack("<f", unit.payload) == (10.0,)
     assert struct.unpack("<i", axis.payload) == (natnet.UpAxis.Y,)
-    assert other == natnet.Bare(KIND.UNRECOGNIZED)
+    assert other == natnet.BareMessage(KIND.UNRECOGNIZED)
     assert model.bodies == (("Green", 1), ("blue", 7))
     assert motive.side.counts["models asked"] == 1
     assert motive.side.clients == {}
@@ -179,10 +179,10 @@ def test_questions_are_answered_to_anybody():
 def test_a_server_may_know_neither_its_axis_nor_its_models():
     motive = Motive(knows_up_axis=False, answers_models=False)
     client = motive.client()
-    unknown = [natnet.Bare(KIND.UNRECOGNIZED)]
+    unknown = [natnet.BareMessage(KIND.UNRECOGNIZED)]
     assert motive.ask(client, natnet.NatNetRequest("UpAxis")) == unknown
-    assert motive.ask(client, natnet.Bare(KIND.REQUEST_MODELDEF)) == []
-    assert motive.ask(client, natnet.Bare(KIND.KEEPALIVE)) == []
+    assert motive.ask(client, natnet.BareMessage(KIND.REQUEST_MODELDEF)) == []
+    assert motive.ask(client, natnet.BareMessage(KIND.KEEPALIVE)) == []
 
 
 def test_an_echo_states_the_servers_time_and_its_clock_ticks_in_100_ns():
@@ -250,7 +250,7 @@ def test_as_many_frames_are_damaged_as_the_fault_says():
         while True:
             data, _ = client.recvfrom(65_535)
             with suppress(Exception):
-                frame = parse(data, motive.side.own_version)
+                frame = parse_datagram(data, motive.side.own_version)
                 good += len(frame.bodies) == 2
     assert good <= 1
     motive.side.acting.remove(fault)

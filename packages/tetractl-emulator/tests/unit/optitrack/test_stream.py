@@ -9,7 +9,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, Stream
+from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, NatNetStream
 
 pytestmark = pytest.mark.slow
 
@@ -38,19 +38,19 @@ def answer_of(number_format, value):
 
 
 def connect(stream):
-    stream.asked(natnet.Connect())
+    stream.record_request(natnet.Connect())
     stream.feed(pack_answer(INFO), 0)
     tell(stream, MODEL)
     return stream
 
 
 def tell(stream, model):
-    stream.asked(natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF))
+    stream.record_request(natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF))
     stream.feed(pack_answer(model, V41), 0)
 
 
 def connected(up=UpAxis.Z, placement=MILLIMETRES):
-    return connect(Stream(ROBOTS, placement, up=up))
+    return connect(NatNetStream(ROBOTS, placement, up=up))
 
 
 def test_robots_are_found_by_name_and_by_id_others_are_strangers():
@@ -67,7 +67,7 @@ def test_robots_are_found_by_name_and_by_id_others_are_strangers():
 
 
 def test_bodies_that_are_not_in_the_frames_are_told():
-    stream = Stream(
+    stream = NatNetStream(
         (
             TrackedRobot(name="robot", body="green"),
             TrackedRobot(name="robot", body="red"),
@@ -76,23 +76,23 @@ def test_bodies_that_are_not_in_the_frames_are_told():
         MILLIMETRES,
         up=UpAxis.Z,
     )
-    assert stream.missing() == ["green", "red", 99]
+    assert stream.list_missing_bodies() == ["green", "red", 99]
     connect(stream)
-    assert stream.missing() == ["green", "red", 99]
+    assert stream.list_missing_bodies() == ["green", "red", 99]
     untracked_green = body(11, 1.0, 1.0, valid=False)
     stream.feed(frame(1, untracked_green, body(12, 1.0, 1.0)), 0)
-    assert stream.missing() == ["red", 99]
-    assert stream.seen == (11, 12)
+    assert stream.list_missing_bodies() == ["red", 99]
+    assert stream.streamed_ids == (11, 12)
 
 
 def test_an_echo_is_taken_once_and_only_with_the_time_that_was_sent():
     stream = connected()
-    stream.asked(natnet.EchoRequest(1_000))
+    stream.record_request(natnet.EchoRequest(1_000))
     assert stream.feed(pack_answer(natnet.EchoResponse(1_001, 9 * HZ)), 2_000) is None
     assert stream.feed(pack_answer(natnet.EchoResponse(1_000, 5 * HZ)), 2_000) is not None
     assert stream.feed(pack_answer(natnet.EchoResponse(1_000, 9 * HZ)), 2_000) is None
-    assert stream.sync.to_host(5 * HZ) == 1_500
-    assert stream.counts.unasked == 2
+    assert stream.clock_sync.to_host(5 * HZ) == 1_500
+    assert stream.counts.unrequested == 2
 
 
 @pytest.mark.parametrize("exposure, fault", [(HZ // 2, ""), (HZ + 9, "the frame counter went")])
@@ -101,7 +101,7 @@ def test_a_frame_of_the_past_was_overtaken_by_however_many_and_a_new_one_counts_
 ):
     """Frame 500 was exposed after a second; then frame 400 comes, exposed before or after it."""
     stream = connected()
-    stream.asked(natnet.EchoRequest(0))
+    stream.record_request(natnet.EchoRequest(0))
     stream.feed(pack_answer(natnet.EchoResponse(0, 0)), 0)
     stream.feed(frame(500, exposure=HZ), 2 * SECOND)
     stream.feed(frame(400, exposure=exposure), 2 * SECOND)
@@ -120,7 +120,7 @@ def test_a_frame_of_the_past_was_overtaken_by_however_many_and_a_new_one_counts_
 )
 def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(answer, unit_mm, fault):
     stream = connected()
-    stream.asked(natnet.NatNetRequest(UNITS_SETTING))
+    stream.record_request(natnet.NatNetRequest(UNITS_SETTING))
     stream.feed(answer_of("<f", answer), 0)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
     assert stream.unit_mm == unit_mm
@@ -140,10 +140,10 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     """Regression: x up was answered by a hint to set y or z in the spec."""
     stream = connected(up=None)
     if answer is not None:
-        stream.asked(natnet.NatNetRequest(UP_AXIS_SETTING))
+        stream.record_request(natnet.NatNetRequest(UP_AXIS_SETTING))
         stream.feed(answer_of("<i", answer), 0)
     error = diagnosis.create_up_axis_error(stream)
-    assert stream.up is None
+    assert stream.up_axis is None
     assert says in str(error)
     assert error.hint.startswith(hint)
 
@@ -151,9 +151,9 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
 def test_an_exposure_that_cannot_be_is_a_bad_datagram():
     """Regression: such an age did not fit into a log."""
     stream = connected()
-    stream.asked(natnet.EchoRequest(0))
+    stream.record_request(natnet.EchoRequest(0))
     stream.feed(pack_answer(natnet.EchoResponse(0, 2**64 - 1)), 10)
     stream.feed(frame(1, exposure=0), 20)
-    assert stream.counts.bad == 1
+    assert stream.counts.unread == 1
     assert stream.counts.frames == 0
     assert stream.newest is None

@@ -11,7 +11,12 @@ from tetractl_emulator.optitrack.natnet_server import pack_answer, pack_modeldef
 
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.wire import pack_datagram, pack_message, parse, read_number
+from tetractl.lab.cameras.optitrack.wire import (
+    pack_datagram,
+    pack_message,
+    parse_datagram,
+    read_number,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -42,8 +47,8 @@ def frames(version):
 @given(version=st.sampled_from(VERSIONS), data=st.data())
 def test_frames_round_trip(version, data):
     frame = data.draw(frames(version))
-    assert parse(pack_answer(frame, version), version) == frame
-    among_all_else = parse(full_frame(version, frame.bodies, frame.params), version)
+    assert parse_datagram(pack_answer(frame, version), version) == frame
+    among_all_else = parse_datagram(full_frame(version, frame.bodies, frame.params), version)
     assert among_all_else.bodies == frame.bodies
     assert among_all_else.params == frame.params
 
@@ -56,7 +61,7 @@ def test_frames_round_trip(version, data):
 def test_models_round_trip(version, names_and_ids, markers):
     model = natnet.ModelDef(names_and_ids)
     payload = pack_modeldef(model, version, markers=markers)
-    assert parse(pack_datagram(natnet.MessageKind.MODELDEF, payload), version) == model
+    assert parse_datagram(pack_datagram(natnet.MessageKind.MODELDEF, payload), version) == model
 
 
 @pytest.mark.parametrize(
@@ -64,7 +69,7 @@ def test_models_round_trip(version, names_and_ids, markers):
 )
 def test_an_unknown_data_set_ends_the_reading_and_says_so(version, kind):
     packed = pack_modeldef(natnet.ModelDef((("green", 1),)), version, [(kind, b"?")])
-    parsed = parse(pack_datagram(natnet.MessageKind.MODELDEF, packed), version)
+    parsed = parse_datagram(pack_datagram(natnet.MessageKind.MODELDEF, packed), version)
     assert parsed == natnet.ModelDef((), complete=False)
 
 
@@ -133,10 +138,10 @@ FRAMES = [
 def test_frames_as_written_by_hand(written):
     payload = written.payload
     header = struct.pack("<HH", natnet.MessageKind.FRAME, len(payload))
-    frame = parse(header + payload, natnet.Version.of(written.version))
+    frame = parse_datagram(header + payload, natnet.Version.parse(written.version))
     body = natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), written.tracked)
     assert frame == natnet.NatNetFrame(42, (body,), written.params, written.exposure)
-    assert frame.edit_mode == bool(written.params & 4)
+    assert frame.is_edit_mode == bool(written.params & 4)
     assert frame.models_changed == bool(written.params & 2)
 
 
@@ -145,16 +150,21 @@ def test_frames_as_written_by_hand(written):
     [
         (pack_message, parse_request, natnet.Connect(V41), 268),
         (pack_message, parse_request, natnet.Connect(V41, pinned=True), 273),
-        (pack_message, parse_request, natnet.Bare(natnet.MessageKind.KEEPALIVE), 268),
-        (pack_message, parse_request, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF), 5),
-        (pack_message, parse_request, natnet.Bare(natnet.MessageKind.DISCONNECT), 5),
+        (pack_message, parse_request, natnet.BareMessage(natnet.MessageKind.KEEPALIVE), 268),
+        (pack_message, parse_request, natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF), 5),
+        (pack_message, parse_request, natnet.BareMessage(natnet.MessageKind.DISCONNECT), 5),
         (pack_message, parse_request, natnet.EchoRequest(2**64 - 1), 12),
         (pack_message, parse_request, natnet.NatNetRequest("UpAxis"), 11),
-        (pack_answer, parse, natnet.ServerInfo("Motive", natnet.Version(2, 10), 0, 0), 268),
-        (pack_answer, parse, natnet.ServerInfo("Motive", V41, 10**7, 1511), 283),
-        (pack_answer, parse, natnet.Bare(natnet.MessageKind.UNRECOGNIZED), 4),
-        (pack_answer, parse, natnet.EchoResponse(1, 2**64 - 1), 20),
-        (pack_answer, parse, natnet.Response(b"\0\0\xf0\x42"), 8),
+        (
+            pack_answer,
+            parse_datagram,
+            natnet.ServerInfo("Motive", natnet.Version(2, 10), 0, 0),
+            268,
+        ),
+        (pack_answer, parse_datagram, natnet.ServerInfo("Motive", V41, 10**7, 1511), 283),
+        (pack_answer, parse_datagram, natnet.BareMessage(natnet.MessageKind.UNRECOGNIZED), 4),
+        (pack_answer, parse_datagram, natnet.EchoResponse(1, 2**64 - 1), 20),
+        (pack_answer, parse_datagram, natnet.Response(b"\0\0\xf0\x42"), 8),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -193,7 +203,7 @@ def test_the_number_of_a_response_is_read_as_its_question_asks():
 )
 def test_bad_datagrams_raise_the_one_exception(packed, version):
     with pytest.raises(WireError):
-        parse(packed, version)
+        parse_datagram(packed, version)
 
 
 @every_version
@@ -203,4 +213,4 @@ def test_every_truncation_is_refused(version):
         for size in range(4, len(packed)):
             cut = packed[:2] + struct.pack("<H", size - 4) + packed[4:size]
             with pytest.raises(WireError):
-                parse(cut, version)
+                parse_datagram(cut, version)

@@ -180,7 +180,7 @@ def test_the_inner_loop_passes_on_what_it_sends():
     camera = Listener()
     events = threading.Event(), threading.Event()
     loop = InnerLoop(camera, Coils(), guard, VirtualClock(), *events)
-    loop.idle = lambda now_ns: 1.0
+    loop.idle_direction = lambda now_ns: 1.0
     loop.step()
     loop.stop()
     assert camera.heard == [1.0, *[None] * 10]

@@ -57,7 +57,7 @@ class Twin:
 
     def judge(self, frame, now_ms):
         try:
-            if cobs.checked_payload(frame)[0] != 0x53:
+            if cobs.decode_with_crc(frame)[0] != 0x53:
                 return CoreEvent.FOREIGN
             command = decode_command(frame)
         except WireError:
@@ -140,8 +140,8 @@ replies = st.builds(FieldReply, u8, status, *([st.just(0)] * 10))
 of_another_kind = st.tuples(u8, u8).map(lambda pair: bytes([0x53, *pair, 1, 2, 3, 4]))
 foreign = (
     replies.map(packed_reply)
-    | st.binary(min_size=1, max_size=78).map(cobs.frame_with_crc)
-    | of_another_kind.map(cobs.frame_with_crc)
+    | st.binary(min_size=1, max_size=78).map(cobs.encode_with_crc)
+    | of_another_kind.map(cobs.encode_with_crc)
 )
 
 

@@ -107,13 +107,13 @@ def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
 
 def test_an_unknown_flag_with_a_good_crc_is_refused():
     with pytest.raises(WireError):
-        driver.decode_command(cobs.frame_with_crc(bytes.fromhex("53 01 08 00 00 00 00"))[:-1])
+        driver.decode_command(cobs.encode_with_crc(bytes.fromhex("53 01 08 00 00 00 00"))[:-1])
 
 
 def test_unknown_status_bits_of_a_driver_are_dropped():
     raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
     raw[2] |= 0xE0
-    assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
+    assert driver.decode_reply(cobs.encode_with_crc(bytes(raw))[:-1]) == DRIVER
 
 
 class SilentPort:

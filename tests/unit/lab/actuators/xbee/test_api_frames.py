@@ -11,7 +11,7 @@ from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.api_frames import (
     AT_COMMAND,
     BROADCAST,
-    CONTENT_MAX,
+    CONTENT_BYTES_MAX,
     Decoder,
     answered,
     encode,
@@ -49,7 +49,7 @@ PRINTED = {
 PAGES_OF_DATA = {f"{S2C}, page 126", f"{S2C}, page 128", *list(PRINTED)[-2:]}
 SPECIAL_BYTES = st.sampled_from([0x7E, 0x7D, 0x11, 0x13, 0x5E, 0x00])
 SPECIAL_CONTENTS = st.lists(SPECIAL_BYTES, min_size=1, max_size=40).map(bytes)
-CONTENTS = st.binary(min_size=1, max_size=CONTENT_MAX) | SPECIAL_CONTENTS
+CONTENTS = st.binary(min_size=1, max_size=CONTENT_BYTES_MAX) | SPECIAL_CONTENTS
 QUIET = st.binary(max_size=30).map(lambda raw: raw.replace(b"\x7e", b""))
 """Garbage in which no frame starts."""
 QUIET_PARTS = st.lists(st.tuples(QUIET, CONTENTS), max_size=5)
@@ -151,7 +151,7 @@ def test_a_frame_behind_a_torn_one_is_found(torn):
     assert decoder.dropped_bytes == len(torn_bytes)
 
 
-@pytest.mark.parametrize("size", [0, CONTENT_MAX + 1])
+@pytest.mark.parametrize("size", [0, CONTENT_BYTES_MAX + 1])
 def test_frames_longer_than_the_radio_takes_are_not_encoded(size):
     with pytest.raises(WireError):
         encode(bytes(size))

@@ -8,8 +8,8 @@ import pytest
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.xbee.hardware import FAMILIES, XbeeSection, protocol
-from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.actuators.xbee.hardware import FAMILIES, XbeeSection, find_protocol
+from tetractl.lab.actuators.xbee.link import XbeeLink
 
 
 @pytest.mark.parametrize(
@@ -38,14 +38,14 @@ from tetractl.lab.actuators.xbee.link import Link
     ],
 )
 def test_a_protocol_is_told_by_hardware_and_version(hardware, version, runs):
-    assert protocol(hardware, version) == runs
+    assert find_protocol(hardware, version) == runs
 
 
 def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
     master, slave = pty.openpty()
     tty.setraw(slave)
     section = XbeeSection(port=os.ttyname(slave))
-    link = Link(section, MonotonicClock())
+    link = XbeeLink(section, MonotonicClock())
     try:
         link.open(checked=False)
         with pytest.raises(AbortError, match="the radio is stuck"):

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.xbee import api_frames as frames
-from tetractl.lab.actuators.xbee.hardware import BAUDS, XbeeSection
-from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.actuators.xbee.hardware import BAUD_RATES, XbeeSection
+from tetractl.lab.actuators.xbee.link import XbeeLink
 
 S2C = {b"HV": b"\x21\x00", b"VR": b"\x20\x00", b"BD": b"\x06", b"AP": b"\x02"}
 SERIES_1 = S2C | {b"HV": b"\x17\x44", b"VR": b"\x10\xed"}
@@ -66,7 +66,7 @@ class Module:
 
 
 def linked(module, baud=57600):
-    return Link(XbeeSection(port="radio", baud=baud), VirtualClock(), module)
+    return XbeeLink(XbeeSection(port="radio", baud=baud), VirtualClock(), module)
 
 
 def refusal(module, baud=57600):
@@ -76,9 +76,9 @@ def refusal(module, baud=57600):
 
 
 @pytest.mark.parametrize("answers", [S2C, SERIES_1])
-@pytest.mark.parametrize("baud", BAUDS[3:7])
+@pytest.mark.parametrize("baud", BAUD_RATES[3:7])
 def test_a_module_with_the_right_firmware_passes_without_a_question(answers, baud):
-    answers = answers | {b"BD": bytes([BAUDS.index(baud)])}
+    answers = answers | {b"BD": bytes([BAUD_RATES.index(baud)])}
     link = linked(Module(answers, baud), baud)
     link.open()
     assert link.questions == ()
@@ -126,7 +126,7 @@ def test_a_module_with_the_wrong_firmware_is_refused_with_its_cure(answers, name
 @pytest.mark.parametrize("code", [3, 4, 5, 7])
 def test_a_module_that_keeps_another_speed_than_the_spec_is_refused(code):
     text = refusal(Module(S2C | {b"BD": b"\0\0\0" + bytes([code])}))
-    assert f"set to {BAUDS[code]} baud, but the spec says 57600" in text
+    assert f"set to {BAUD_RATES[code]} baud, but the spec says 57600" in text
 
 
 @pytest.mark.parametrize("value", [None, b"\x01\xc2\x00", b"\x08"])
@@ -166,7 +166,7 @@ def test_the_speed_at_which_a_silent_module_answers_is_named(baud):
     assert f"answers at {baud} baud, but the spec says 57600" in refusal(module)
     tried = [speed for speed, _ in module.requests]
     assert tried[:2] == [57600, 57600] and tried[-1] == 57600
-    assert tried[2:-1] == [each for each in BAUDS[3:] if each != 57600 and each <= baud]
+    assert tried[2:-1] == [each for each in BAUD_RATES[3:] if each != 57600 and each <= baud]
 
 
 def test_a_port_without_a_module_is_tried_at_every_speed_that_a_spec_may_state():
@@ -188,9 +188,9 @@ def test_a_module_that_wakes_late_is_no_module_at_another_speed():
 def test_a_request_takes_three_tenths_of_a_second_at_most_and_none_if_it_is_answered():
     module = Module()
     link = linked(module)
-    assert link.ask(b"HV") == b"\x21\x00"
+    assert link.request(b"HV") == b"\x21\x00"
     assert module.clock.now() == 0
-    assert link.ask(b"XX") is None
+    assert link.request(b"XX") is None
     assert module.clock.now() == pytest.approx(0.3 * SECOND, rel=0.02)
 
 
@@ -198,7 +198,7 @@ def test_only_the_answer_to_the_last_request_counts():
     module = Module({})
     link = linked(module)
     module.answer(1, b"HV", b"early")
-    assert link.ask(b"HV") is None, "it came before the request"
+    assert link.request(b"HV") is None, "it came before the request"
     write = module.write
 
     def answering(data):
@@ -207,12 +207,12 @@ def test_only_the_answer_to_the_last_request_counts():
         return write(data)
 
     module.write = answering
-    assert link.ask(b"HV") is None
+    assert link.request(b"HV") is None
 
 
 def test_an_error_of_the_module_is_an_answer_without_a_value():
     module = Module({b"HV": None})
-    assert linked(module).ask(b"HV") is None
+    assert linked(module).request(b"HV") is None
     assert module.clock.now() == 0
 
 
@@ -220,7 +220,7 @@ def test_request_numbers_are_from_1_to_255():
     """A module does not answer requests of number 0."""
     module = Module()
     link = linked(module)
-    assert all(link.ask(b"AP") == b"\x02" for _ in range(600))
+    assert all(link.request(b"AP") == b"\x02" for _ in range(600))
 
 
 def test_data_is_broadcast_to_all_modules():

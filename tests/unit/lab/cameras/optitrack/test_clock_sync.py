@@ -35,7 +35,7 @@ def synced(server, sync, times_s, there_ms=1, back_ms=1):
 def test_a_time_of_the_server_becomes_the_hosts_within_the_error(offset_s, drift, there, back):
     server = Server(offset_s, drift)
     sync = synced(server, ClockSync(HZ), range(10), there, back)
-    assert sync.synced
+    assert sync.is_synced
     assert sync.fault == ""
     assert sync.round_trip_ns == (there + back) * MS
     for seconds in (8.0, 9.0, 9.5, 12.0):
@@ -71,6 +71,6 @@ def test_the_quickest_of_the_newest_echoes_counts():
 def test_an_echo_that_took_over_a_second_or_less_than_nothing_is_ignored(sent_ns, returned_ns):
     sync = ClockSync(HZ)
     sync.add(sent_ns, returned_ns, 12345)
-    assert not sync.synced
+    assert not sync.is_synced
     sync.add(0, SECOND, 12345)
-    assert sync.synced
+    assert sync.is_synced

@@ -29,11 +29,11 @@ def stream(**fields):
         "counts": StreamCounts(),
         "info": SimpleNamespace(version=(3, 1)),
         "version": (3, 1),
-        "unread_frame": b"",
+        "last_unread_frame": b"",
         "model": None,
-        "seen": (),
+        "streamed_ids": (),
         "robots": (),
-        "up_answer": None,
+        "up_axis_answer": None,
     }
     return SimpleNamespace(**usual | fields)
 
@@ -48,11 +48,11 @@ def robots(*bodies):
 
 
 def test_a_server_at_another_address_is_named_if_one_answers():
-    error = diagnosis.no_server(SECTION, senders(ELSEWHERE), 2.0)
+    error = diagnosis.create_no_server_error(SECTION, senders(ELSEWHERE), 2.0)
     assert "10.0.0.1:1510" in error.message
     assert "10.0.0.9" in error.hint
     assert "1999" in error.hint
-    assert "10.0.0.9" not in diagnosis.no_server(SECTION, senders(), 2.0).message
+    assert "10.0.0.9" not in diagnosis.create_no_server_error(SECTION, senders(), 2.0).message
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_server_at_another_address_is_named_if_one_answers():
     ],
 )
 def test_why_no_frame_is_used_follows_from_where_frames_come_from(sender, says, hint):
-    error = diagnosis.no_frames(SECTION, senders(sender), stream(), 2.0)
+    error = diagnosis.create_no_frames_error(SECTION, senders(sender), stream(), 2.0)
     assert says in error.message
     assert hint in error.hint
 
@@ -85,7 +85,7 @@ def test_frames_of_the_server_that_cannot_be_read_matter_more_than_those_of_othe
         version=version,
         info=SimpleNamespace(version=reported),
     )
-    error = diagnosis.no_frames(SECTION, senders(ELSEWHERE), of_server, 2.0)
+    error = diagnosis.create_no_frames_error(SECTION, senders(ELSEWHERE), of_server, 2.0)
     assert "3 frames came" in error.message
     assert hint in error.hint
 
@@ -94,13 +94,13 @@ def test_frames_of_the_server_that_cannot_be_read_matter_more_than_those_of_othe
     ("answer", "says"), [(None, "does not report"), (0, "up axis is x"), (7, "of number 7")]
 )
 def test_an_axis_that_cannot_be_up_is_named(answer, says):
-    assert says in diagnosis.create_up_axis_error(stream(up_answer=answer)).message
+    assert says in diagnosis.create_up_axis_error(stream(up_axis_answer=answer)).message
 
 
 @pytest.mark.parametrize(("unread", "says"), [(0, "did not answer a request"), (2, "cannot be")])
 def test_bodies_whose_names_are_unknown_are_wanted_by_name(unread, says):
     asked = stream(
-        counts=StreamCounts(unread_models=unread), robots=robots("green", 4), seen=(3, 4)
+        counts=StreamCounts(unread_models=unread), robots=robots("green", 4), streamed_ids=(3, 4)
     )
     error = diagnosis.create_names_error(asked, 1.0)
     assert "'green'" in error.message
@@ -112,7 +112,7 @@ def test_bodies_whose_names_are_unknown_are_wanted_by_name(unread, says):
     "count", [0, 1, diagnosis.BODIES_SHOWN_MAX, diagnosis.BODIES_SHOWN_MAX + 1, 40]
 )
 def test_at_most_some_bodies_are_listed_and_the_rest_counted(count):
-    listed = diagnosis.list_bodies(stream(seen=tuple(range(count)))).split("; ")
+    listed = diagnosis.list_bodies(stream(streamed_ids=tuple(range(count)))).split("; ")
     if count == 0:
         assert listed == ["none"]
     else:
@@ -124,39 +124,44 @@ def test_at_most_some_bodies_are_listed_and_the_rest_counted(count):
 
 
 def test_a_body_is_listed_with_its_name_and_whether_it_is_streamed():
-    line = diagnosis.list_bodies(stream(model=model("green", "blue"), seen=(2, 9)))
+    line = diagnosis.list_bodies(stream(model=model("green", "blue"), streamed_ids=(2, 9)))
     assert line == "'green' (id 1), not streamed; 'blue' (id 2); id 9"
 
 
-def missing_of(*wanted, seen, complete=True):
+def missing_of(*wanted, streamed_ids, complete=True):
     """Of cameras that know green and blue (ids 1 and 2), which lines are said."""
     of_robots = robots(*wanted)
     known = model("green", "blue", complete=complete)
     ids = known.ids()
-    missing = [body for body in wanted if ids.get(body, body) not in seen]
-    made = stream(model=known, seen=seen, robots=of_robots, missing=lambda: missing)
+    missing = [body for body in wanted if ids.get(body, body) not in streamed_ids]
+    made = stream(
+        model=known,
+        streamed_ids=streamed_ids,
+        robots=of_robots,
+        list_missing_bodies=lambda: missing,
+    )
     return diagnosis.describe_missing_bodies(made, tuple(f"robot {body}" for body in wanted))
 
 
 def test_only_a_robot_whose_body_is_not_streamed_is_named():
-    assert missing_of("green", "blue", seen=(1, 2)) == []
-    (line,) = missing_of("green", "blue", seen=(2,))
+    assert missing_of("green", "blue", streamed_ids=(1, 2)) == []
+    (line,) = missing_of("green", "blue", streamed_ids=(2,))
     assert "do not stream the rigid body 'green' for robot green" in line
 
 
 def test_an_unknown_body_is_named_with_the_most_similar_one_that_is_free():
-    (line,) = missing_of("gren", "blue", seen=(1, 2))
+    (line,) = missing_of("gren", "blue", streamed_ids=(1, 2))
     assert "know no rigid body 'gren'" in line
     assert "green" in line.partition("they have")[0]
-    (line,) = missing_of(7, seen=(1, 2))
+    (line,) = missing_of(7, streamed_ids=(1, 2))
     assert "know no rigid body with id 7 for robot 7; the nearest id is 2" in line
-    (line,) = missing_of(7, seen=())
+    (line,) = missing_of(7, streamed_ids=())
     assert "nearest" not in line
 
 
 def test_a_list_of_bodies_that_is_cut_off_is_told():
-    assert len(missing_of(7, seen=(1,), complete=False)) == 2
-    assert missing_of("green", seen=(1,), complete=False) == []
+    assert len(missing_of(7, streamed_ids=(1,), complete=False)) == 2
+    assert missing_of("green", streamed_ids=(1,), complete=False) == []
 
 
 def test_before_the_list_of_bodies_has_come_none_is_missing():
@@ -169,6 +174,6 @@ def test_dropped_datagrams_are_told_and_nothing_if_none_was_dropped():
     assert line.startswith("5 datagrams")
     assert "10.0.0.9" in line
     (line,) = diagnosis.describe_dropped_datagrams(
-        senders(), stream(counts=StreamCounts(unasked=4))
+        senders(), stream(counts=StreamCounts(unrequested=4))
     )
     assert line.startswith("4 answers")

@@ -26,12 +26,12 @@ def body(position=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.0, 1.0), valid=True):
     [("2.5", False), ("2.6", True), ("2.10", True), ("4.3", True), ("4.4", False), ("5.0", False)],
 )
 def test_versions_are_known_from_the_oldest_to_the_newest(text, known):
-    version = Version.of(text)
+    version = Version.parse(text)
     assert (version.known, str(version)) == (known, text)
 
 
 def test_versions_are_ordered_by_their_numbers_not_as_text():
-    assert Version.of("2.9") < Version.of("2.10") < Version.of("3.0")
+    assert Version.parse("2.9") < Version.parse("2.10") < Version.parse("3.0")
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_a_frame_says_by_its_bits_whether_bodies_changed_and_whether_it_is_a_rec
     params, changed, edits
 ):
     frame = NatNetFrame(1, (), params)
-    assert (frame.models_changed, frame.edit_mode) == (changed, edits)
+    assert (frame.models_changed, frame.is_edit_mode) == (changed, edits)
 
 
 def test_a_model_maps_names_to_ids():

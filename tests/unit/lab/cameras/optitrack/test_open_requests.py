@@ -7,7 +7,7 @@ from tetractl.lab.cameras.optitrack.stream import OpenRequests
 
 SERVER = natnet.ServerInfo("Motive", natnet.Version(4, 1), clock_hz=10_000_000, data_port=1511)
 BODIES = natnet.ModelDef((("green", 11),))
-REQUEST_BODIES = natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)
+REQUEST_BODIES = natnet.BareMessage(natnet.MessageKind.REQUEST_MODELDEF)
 FRAME = natnet.NatNetFrame(1, (), 0, 0)
 PAIRS = [
     (natnet.Connect(), SERVER),

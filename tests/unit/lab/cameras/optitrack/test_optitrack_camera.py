@@ -10,7 +10,11 @@ import pytest
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.cameras.optitrack import natnet, wire
-from tetractl.lab.cameras.optitrack.camera import ASK_NS, FIRST_ECHOES, OptitrackCamera
+from tetractl.lab.cameras.optitrack.camera import (
+    INITIAL_ECHOES,
+    REQUEST_INTERVAL_NS,
+    OptitrackCamera,
+)
 from tetractl.lab.cameras.optitrack.natnet import MessageKind, UpAxis, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING
@@ -82,7 +86,7 @@ class Server:
 
     def take(self, data, address):
         assert address == (SERVER, COMMANDS)
-        kind, payload = wire.split(data)
+        kind, payload = wire.split_datagram(data)
         what = payload.rstrip(b"\0").decode() if kind is MessageKind.REQUEST else kind.name
         self.asked.append((what, self.clock.now()))
         if what not in self.silent_about:
@@ -172,7 +176,7 @@ def test_a_camera_connects_once_all_is_known_and_gives_every_frame_once():
         assert (health.problems, health.warnings) == ((), ())
         assert not health.emulated
         assert health.facts["clock_round_trip_ms"] != "unknown"
-        assert camera.stream.up is UpAxis.Z
+        assert camera.stream.up_axis is UpAxis.Z
     assert server.sockets == []
     assert server.asked[-1][0] == "DISCONNECT"
 
@@ -185,9 +189,9 @@ def test_a_server_is_asked_once_for_what_it_answers_and_goes_on_with_echoes():
             assert len(server.times(what)) == 1, what
         assert set(gaps(server.times("KEEPALIVE"))) == {1.0}
         echoes = gaps(server.times("ECHO_REQUEST"))
-        assert set(echoes[: FIRST_ECHOES - 1]) == {0.02}
-        assert set(echoes[FIRST_ECHOES:]) == {0.5}
-        assert camera.stream.counts.unasked == 0
+        assert set(echoes[: INITIAL_ECHOES - 1]) == {0.02}
+        assert set(echoes[INITIAL_ECHOES:]) == {0.5}
+        assert camera.stream.counts.unrequested == 0
 
 
 def test_in_multicast_nobody_keeps_the_stream_alive():
@@ -202,7 +206,7 @@ def test_an_unanswered_request_is_repeated_after_a_quarter_second():
     server.silent_about = {"CONNECT"}
     with pytest.raises(AbortError):
         server.camera(connect=2).__enter__()
-    assert set(gaps(server.times("CONNECT"))) == {ASK_NS / SECOND}
+    assert set(gaps(server.times("CONNECT"))) == {REQUEST_INTERVAL_NS / SECOND}
     assert len(server.times("CONNECT")) in (8, 9)
     assert {asked for asked, _ in server.asked} == {"CONNECT", "DISCONNECT"}
     assert server.sockets == []
@@ -221,7 +225,7 @@ def test_a_stated_axis_is_not_asked_for_and_one_that_nobody_states_is_needed():
     server = Server()
     with server.camera(up_axis="y") as camera:
         assert server.times(UP_AXIS_SETTING) == []
-        assert camera.stream.up is UpAxis.Y
+        assert camera.stream.up_axis is UpAxis.Y
     server = Server()
     server.silent_about = {UP_AXIS_SETTING}
     with pytest.raises(AbortError):
@@ -311,7 +315,7 @@ def test_a_pinned_version_is_requested_in_unicast_alone():
     for transport, pinned in [("unicast", Version(3, 1)), ("multicast", None)]:
         server = Server()
         camera = server.camera(transport=transport, version="3.1")
-        assert camera._pinned == pinned
+        assert camera._requested_version == pinned
 
 
 def test_datagrams_of_other_hosts_and_ports_change_nothing():

@@ -18,7 +18,7 @@ from tetractl.lab.cameras.optitrack.payloads import (
     RIGID_BODY,
     SKELETON,
     Cursor,
-    layout_of,
+    find_layout,
     parse_frame,
     parse_modeldef,
 )
@@ -30,33 +30,38 @@ def i32(*numbers):
 
 def test_a_cursor_reads_in_order_and_knows_what_is_left():
     cursor = Cursor(i32(5, -6, 7))
-    assert (cursor.left, cursor.i32(), cursor.i32(), cursor.left) == (12, 5, -6, 4)
+    assert (cursor.remaining, cursor.read_i32(), cursor.read_i32(), cursor.remaining) == (
+        12,
+        5,
+        -6,
+        4,
+    )
     cursor.skip(4)
     cursor.skip(0)
-    assert cursor.left == 0
+    assert cursor.remaining == 0
     for size in (1, -1):
         with pytest.raises(WireError, match="only 0 remain"):
             cursor.skip(size)
     with pytest.raises(WireError):
-        cursor.i32()
+        cursor.read_i32()
 
 
 def test_a_cursor_ends_where_it_is_told():
-    cursor = Cursor(i32(1, 2, 3), end=8, begin=4)
-    assert (cursor.left, cursor.i32(), cursor.left) == (4, 2, 0)
+    cursor = Cursor(i32(1, 2, 3), end=8, start=4)
+    assert (cursor.remaining, cursor.read_i32(), cursor.remaining) == (4, 2, 0)
     with pytest.raises(WireError):
-        cursor.i32()
+        cursor.read_i32()
 
 
 @given(st.integers(-3, 8), st.integers(1, 5), st.integers(0, 20))
 def test_elements_are_counted_only_if_all_of_them_fit(count, smallest, rest):
     cursor = Cursor(i32(count) + bytes(rest))
     if 0 <= count * smallest <= rest:
-        assert cursor.count(smallest) == count
-        assert cursor.left == rest
+        assert cursor.read_count(smallest) == count
+        assert cursor.remaining == rest
     else:
         with pytest.raises(WireError):
-            cursor.count(smallest)
+            cursor.read_count(smallest)
 
 
 @given(st.integers(-3, 30), st.integers(0, 5), st.integers(0, 5), st.integers(0, 20))
@@ -65,34 +70,34 @@ def test_a_stated_size_has_room_for_its_elements_and_fits_into_the_payload(
 ):
     cursor = Cursor(i32(size) + bytes(rest))
     if count * smallest <= size <= rest and size >= 0:
-        assert cursor.size(count, smallest) == size
+        assert cursor.read_size(count, smallest) == size
     else:
         with pytest.raises(WireError):
-            cursor.size(count, smallest)
+            cursor.read_size(count, smallest)
 
 
 def test_parts_are_skipped_or_read_apart_by_their_size():
     cursor = Cursor(i32(2, 7) + bytes(7) + i32(4, 9, 8))
     cursor.skip_sized(3)
-    part = cursor.part()
-    assert (part.left, part.i32(), part.left) == (4, 9, 0)
-    assert cursor.i32() == 8
+    part = cursor.read_part()
+    assert (part.remaining, part.read_i32(), part.remaining) == (4, 9, 0)
+    assert cursor.read_i32() == 8
     cursor = Cursor(i32(2) + bytes(6) + b"z")
     cursor.skip_elements(3)
-    assert cursor.left == 1
+    assert cursor.remaining == 1
 
 
 def test_names_end_with_a_zero_within_their_length():
     cursor = Cursor(b"green\0" + "blü".encode() + b"\0" + b"x" * NAME_MAX + b"\0" + b"\0")
-    assert [cursor.name() for _ in range(4)] == ["green", "blü", "x" * NAME_MAX, ""]
+    assert [cursor.read_name() for _ in range(4)] == ["green", "blü", "x" * NAME_MAX, ""]
     for data in (b"x" * (NAME_MAX + 1) + b"\0", b"green", b""):
         with pytest.raises(WireError, match="a name of more than"):
-            Cursor(data).name()
+            Cursor(data).read_name()
     with pytest.raises(WireError):
-        Cursor(b"green\0", end=5).name()
+        Cursor(b"green\0", end=5).read_name()
     cursor = Cursor(i32(2) + b"a\0b\0z")
     cursor.skip_names()
-    assert cursor.left == 1
+    assert cursor.remaining == 1
 
 
 @pytest.mark.parametrize(
@@ -110,13 +115,17 @@ def test_names_end_with_a_zero_within_their_length():
     ],
 )
 def test_a_version_has_the_layout_of_the_last_change_before_it(version, channels, timed, sized):
-    layout = layout_of(Version.of(version))
-    assert (layout.channels, layout.timed, layout.sized) == (channels, timed, sized)
+    layout = find_layout(Version.parse(version))
+    assert (layout.channel_section_count, layout.has_exposure_time, layout.has_sizes) == (
+        channels,
+        timed,
+        sized,
+    )
 
 
 def test_a_version_that_is_too_old_is_refused():
     with pytest.raises(WireError, match="older than"):
-        layout_of(Version(2, 5))
+        find_layout(Version(2, 5))
 
 
 def body(number, tracked):

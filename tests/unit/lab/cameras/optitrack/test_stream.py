@@ -14,8 +14,8 @@ from tetractl.lab.cameras.optitrack.stream import (
     UNITS_SETTING,
     UP_AXIS_SETTING,
     ClockSync,
+    NatNetStream,
     OpenRequests,
-    Stream,
 )
 
 HZ = 1_000_000  # ticks of the server's clock per second: one is a microsecond
@@ -37,20 +37,20 @@ def frame(number, *bodies, exposure=0, params=0):
 
 def streaming(*, up=UpAxis.Z, synced=True, model=(("G", 11),), clock_hz=HZ, offset_ns=0):
     """A stream that knows its server, its bodies and, if `synced`, its clock."""
-    made = Stream(ROBOTS, Placement(0.0, 0.0, 0.0, 1000.0), up=up)
-    made.asked(natnet.Connect())
+    made = NatNetStream(ROBOTS, Placement(0.0, 0.0, 0.0, 1000.0), up=up)
+    made.record_request(natnet.Connect())
     take(made, natnet.ServerInfo("Motive", V41, clock_hz, 1511))
     if model is not None:
         take(made, natnet.ModelDef(model))
     if synced:
         for k in range(3):
             sent_ns = k * 100 * MS
-            made.sync.add(sent_ns, sent_ns + 2000, (sent_ns + 1000 + offset_ns) // 1000)
+            made.clock_sync.add(sent_ns, sent_ns + 2000, (sent_ns + 1000 + offset_ns) // 1000)
     return made
 
 
 def take(made, message, received_ns=0):
-    made._take(message, received_ns)
+    made._process(message, received_ns)
     return made.newest
 
 
@@ -64,7 +64,7 @@ def test_a_frame_is_exposed_at_the_servers_time_on_the_hosts_clock():
 def test_without_a_clock_or_an_exposure_a_frame_is_exposed_when_it_arrives():
     for made, exposure in [(streaming(synced=False), 5), (streaming(), None)]:
         assert take(made, frame(5, exposure=exposure), SECOND).sampled_ns == SECOND
-    assert streaming(clock_hz=0, synced=False).sync is None
+    assert streaming(clock_hz=0, synced=False).clock_sync is None
 
 
 def test_a_frame_is_never_exposed_after_it_arrived():
@@ -134,10 +134,10 @@ def test_an_older_exposure_was_overtaken_however_far_its_number_is():
 def test_frames_are_counted_and_name_their_bodies():
     made = streaming()
     take(made, frame(1, body(11), body(7), exposure=0), MS)
-    assert made.seen == (11, 7)
-    assert made.missing() == [12]
+    assert made.streamed_ids == (11, 7)
+    assert made.list_missing_bodies() == [12]
     take(made, frame(2, body(12), exposure=1000), 2 * MS)
-    assert made.missing() == ["G"]
+    assert made.list_missing_bodies() == ["G"]
     assert made.counts.frames == 2
 
 
@@ -154,8 +154,8 @@ def test_robots_have_the_poses_of_their_bodies_and_the_rest_are_unknown_objects(
 def test_a_name_that_no_model_has_is_no_body():
     made = streaming(model=(("other", 11),))
     assert take(made, frame(1, body(11), body(12)), MS).poses[0] is None
-    assert (made.number("G"), made.number(12)) == (None, 12)
-    assert made.missing() == ["G"]
+    assert (made.find_id("G"), made.find_id(12)) == (None, 12)
+    assert made.list_missing_bodies() == ["G"]
 
 
 def test_no_pose_is_known_before_the_axis_that_points_up():
@@ -185,24 +185,24 @@ def test_a_recording_is_a_fault_while_it_is_streamed(params, fault):
 def test_changed_models_are_remembered_until_the_next_model():
     made = streaming()
     take(made, frame(1, params=2), MS)
-    assert (made.models_changed, made.changing) == (True, True)
+    assert (made.models_changed, made.is_changing) == (True, True)
     take(made, frame(2), 2 * MS)
-    assert (made.models_changed, made.changing) == (True, False)
+    assert (made.models_changed, made.is_changing) == (True, False)
     take(made, natnet.ModelDef((("G", 14),)))
-    assert (made.models_changed, made.number("G")) == (False, 14)
+    assert (made.models_changed, made.find_id("G")) == (False, 14)
 
 
 def test_the_first_server_counts_and_a_pinned_version_is_that_of_its_frames():
     made = streaming()
     take(made, natnet.ServerInfo("another", Version(3, 0), 5, 1))
     assert (made.info.name, made.version) == ("Motive", V41)
-    pinned = Stream(ROBOTS, Placement(0, 0, 0, 1), pinned=Version(3, 1))
+    pinned = NatNetStream(ROBOTS, Placement(0, 0, 0, 1), pinned=Version(3, 1))
     take(pinned, natnet.ServerInfo("Motive", V41, HZ, 1511))
     assert pinned.version == Version(3, 1)
 
 
 def answered(made, request, payload):
-    made.asked(natnet.NatNetRequest(request))
+    made.record_request(natnet.NatNetRequest(request))
     datagram = wire.pack_datagram(MessageKind.RESPONSE, payload)
     made.feed(datagram, 0)
     return made
@@ -211,9 +211,9 @@ def answered(made, request, payload):
 @pytest.mark.parametrize(("answer", "up"), [(1, UpAxis.Y), (2, UpAxis.Z), (0, None), (3, None)])
 def test_the_servers_axis_is_taken_if_the_spec_states_none(answer, up):
     made = answered(streaming(up=None), UP_AXIS_SETTING, struct.pack("<i", answer))
-    assert (made.up, made.up_answer) == (up, answer)
+    assert (made.up_axis, made.up_axis_answer) == (up, answer)
     stated = answered(streaming(up=UpAxis.Y), UP_AXIS_SETTING, struct.pack("<i", answer))
-    assert (stated.up, stated.up_answer) == (UpAxis.Y, None)
+    assert (stated.up_axis, stated.up_axis_answer) == (UpAxis.Y, None)
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_the_servers_axis_is_taken_if_the_spec_states_none(answer, up):
 )
 def test_a_server_in_another_unit_than_metres_is_a_fault(unit_mm, taken, is_fault):
     made = answered(streaming(), UNITS_SETTING, struct.pack("<f", unit_mm))
-    assert (made.unit_mm is not None, made.counts.bad) == (taken, 0 if taken else 1)
+    assert (made.unit_mm is not None, made.counts.unread) == (taken, 0 if taken else 1)
     fault = take(made, frame(1), MS).fault
     assert ("instead of metres" in fault) is is_fault
 
@@ -241,32 +241,32 @@ def test_a_server_in_another_unit_than_metres_is_a_fault(unit_mm, taken, is_faul
 def test_an_answer_that_nobody_asked_for_changes_nothing():
     made = streaming(up=None)
     made.feed(wire.pack_datagram(MessageKind.RESPONSE, struct.pack("<i", 1)), 0)
-    assert made.up is None
+    assert made.up_axis is None
     echo = wire.pack_datagram(MessageKind.ECHO_RESPONSE, struct.pack("<QQ", 5, 7))
     assert made.feed(echo, 0) is None
-    assert (made.counts.unasked, made.counts.bad) == (1, 0)
+    assert (made.counts.unrequested, made.counts.unread) == (1, 0)
 
 
 def test_datagrams_that_cannot_be_read_are_counted_by_their_kind():
-    made = Stream(ROBOTS, Placement(0, 0, 0, 1))
+    made = NatNetStream(ROBOTS, Placement(0, 0, 0, 1))
     bad = {kind: wire.pack_datagram(kind, b"?") for kind in MessageKind}
     for kind in (MessageKind.FRAME, MessageKind.MODELDEF):
         assert made.feed(bad[kind], 0) is None
-    assert made.counts.bad == 0, "the version is not known yet"
+    assert made.counts.unread == 0, "the version is not known yet"
     made.feed(bad[MessageKind.SERVER_INFO], 0)
-    assert made.counts.bad == 1
+    assert made.counts.unread == 1
     made = streaming()
     for kind in (MessageKind.FRAME, MessageKind.MODELDEF, MessageKind.ECHO_RESPONSE):
         made.feed(bad[kind], 0)
     counts = made.counts
-    assert (counts.bad, counts.unread_frames, counts.unread_models) == (3, 1, 1)
-    assert made.unread_frame == bad[MessageKind.FRAME]
+    assert (counts.unread, counts.unread_frames, counts.unread_models) == (3, 1, 1)
+    assert made.last_unread_frame == bad[MessageKind.FRAME]
 
 
 def test_an_echo_sets_the_clock_and_a_jump_of_it_is_a_fault_that_stays():
     made = streaming()
     for sent_ns, gained_ns in [(SECOND, 0), (2 * SECOND, 50 * MS)]:
-        made.asked(natnet.EchoRequest(sent_ns))
+        made.record_request(natnet.EchoRequest(sent_ns))
         ticks = (sent_ns + MS + gained_ns) // 1000
         payload = struct.pack("<QQ", sent_ns, ticks)
         made.feed(wire.pack_datagram(MessageKind.ECHO_RESPONSE, payload), sent_ns + 2 * MS)
@@ -283,7 +283,7 @@ def test_an_exchange_of_more_than_a_second_or_of_less_than_nothing_is_ignored():
     ]:
         sync = ClockSync(HZ)
         sync.add(sent_ns, returned_ns, 0)
-        assert sync.synced is taken
+        assert sync.is_synced is taken
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -341,6 +341,6 @@ def test_a_drift_is_fitted_over_five_seconds_and_within_its_limit():
 
 def test_only_requests_that_have_answers_are_kept_open():
     requests = OpenRequests()
-    requests.add(natnet.Bare(MessageKind.KEEPALIVE))
+    requests.add(natnet.BareMessage(MessageKind.KEEPALIVE))
     assert not requests.close(natnet.ModelDef(()))
-    assert requests.close(natnet.Bare(MessageKind.TEXT))
+    assert requests.close(natnet.BareMessage(MessageKind.TEXT))

@@ -152,7 +152,7 @@ class CameraStream:
         return self._repeated.repeats
 
     def add_frame(self, frame: CameraFrame, was_driven: bool) -> bool:
-        """Add a frame. If it is not newer than all previous ones, count it as dropped.
+        """Add a camera frame. A frame that is not newer than all others counts as dropped.
 
         Args:
             frame: The frame.

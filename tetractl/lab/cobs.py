@@ -165,6 +165,7 @@ class FrameSplitter:
         return frames
 
     def _add(self, chunk: bytes) -> None:
+        """Append bytes to the unfinished frame. If the frame gets too long, skip the rest of it."""
         if self._is_skipping:
             return
         if len(self._buffer) + len(chunk) > PAYLOAD_BYTES_MAX + 1:

@@ -34,14 +34,14 @@ class AddsToFrames(Protocol):
     """A camera that measures more than poses, and adds its findings to the log."""
 
     def additions(self) -> list[FrameAddition]:
-        """Return what the camera adds to its frames since the last call, oldest first."""
+        """Return the additions to the camera's frames since the last call, oldest first."""
         ...
 
 
 class RobotWatch(Protocol):
-    """What a camera knows about the robots of one trial, beyond their poses.
+    """A camera's watch over the robots of one trial, which finds lost robots and replacements.
 
-    It can decide that a robot is lost, and find a body that replaces it.
+    The watch can decide that a robot is lost, and find a body that replaces the robot.
     """
 
     def see(self, sampled_ns: int) -> Iterable[Note]:

@@ -43,7 +43,7 @@ class FrameBuffer:
             return new_frames, self.count
 
     def recent(self, span_ns: int) -> list[AcceptedFrame]:
-        """Return the frames exposed at most `span_ns` before the newest one, oldest first."""
+        """Return the frames exposed at most `span_ns` before the newest frame, oldest first."""
         with self._lock:
             frames: list[AcceptedFrame] = []
             for frame in reversed(self._frames):

@@ -244,6 +244,7 @@ class Guard:
 
     @property
     def _is_in_run(self) -> bool:
+        """Whether a run is on: robots may move, or are held because of a fault that may pass."""
         state = self.state
         return state is GuardState.RUN or state is GuardState.HOLD
 

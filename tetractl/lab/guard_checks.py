@@ -42,7 +42,11 @@ ChecksOf = Callable[[GuardRules], GuardChecks]
 
 
 def robot_checks(rules: GuardRules) -> GuardChecks:
-    """Create the checks for robots that stand still when they are stopped."""
+    """Create the checks for robots on wheels, which stand still when they are stopped.
+
+    Args:
+        rules: The rules of the guard.
+    """
     motion = MotionCheck(rules, rules.position_error_max, rules.limits.wheel_error)
     drift = DriftCheck(rules, motion)
     return GuardChecks((motion, drift, PlaceCheck(rules)), drift)

@@ -174,6 +174,7 @@ class GuardObserver:
         self._record_end(now_ns)
 
     def _record_refusals(self, now_ns: int) -> None:
+        """Record each robot whose poses the guard refuses since this frame."""
         reasons = self._guard.refusal_reasons
         for i, reason in enumerate(reasons):
             if reason and not self._refused[i]:
@@ -184,6 +185,7 @@ class GuardObserver:
         self._refused = reasons
 
     def _record_stops(self, now_ns: int, ruling: Ruling) -> None:
+        """Record each robot that the guard stops since this decision."""
         for i, moves in enumerate(ruling.moving):
             if self._moving[i] and not moves and i not in self._guard.lost_robots:
                 reason = self._refused[i]
@@ -203,6 +205,7 @@ class GuardObserver:
         self._moving = ruling.moving
 
     def _record_end(self, now_ns: int) -> None:
+        """If the guard has aborted the run, record this, and continue with a new guard."""
         guard = self._guard
         if guard.state is not GuardState.ABORT:
             return

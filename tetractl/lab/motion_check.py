@@ -350,7 +350,7 @@ class MotionCheck(GuardCheck):
     # ---- a pose ----
 
     def check_repeat(self, robot: int) -> Iterator[Finding]:
-        """Refuse a repeated pose if its robot must have moved, and visibly to the camera.
+        """Refuse a repeated pose if its robot must have moved so far that the camera sees it.
 
         See "Repeats" in the module's docstring. Rule 1 uses the bounds of all commands together: if
         one drives forward and one backward, or one drives and one turns on the spot, these bounds

@@ -15,7 +15,7 @@ ENDING_SIGNALS = (
     (signal.SIGTERM, "asked the process to end at once", 4.0),
     (signal.SIGKILL, "killed the process; `tetractl recover` repairs its log", 6.0),
 )
-"""The signals that end a process which has a port open, in the order in which they are sent.
+"""The signals that end a process with an open port, in the order in which they are sent.
 
 Each row has the signal, a description for the operator, and the time at which the next signal
 follows if the process has not ended [s]. This time counts from the first stop. Until then, stops

@@ -65,7 +65,10 @@ class RobotFinding:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What prevents the robot from starting, one line each, apart from a wrong position."""
+        """Problems that prevent the robot from starting, one line each.
+
+        A wrong position is not among them.
+        """
         return (*((self.untracked,) if self.untracked else ()), *self.status.problems)
 
 
@@ -94,7 +97,7 @@ class Preflight:
 
     @property
     def all_problems(self) -> tuple[str, ...]:
-        """What prevents a run from starting, one line each, apart from misplaced robots."""
+        """Problems that prevent a run from starting, one line each, without misplaced robots."""
         return (*self.problems, *(p for robot in self.robots for p in robot.problems))
 
     @property
@@ -281,6 +284,7 @@ def _check_robot(
 
 
 def _describe_unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
+    """Describe each unknown object that the camera sees in the arena, in one line."""
     inside = [pose for pose in frame.unknown_objects if rig.setup.arena.contains(pose.x, pose.y)]
     unit = rig.setup.unit
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f} {unit}" for p in inside]
@@ -367,6 +371,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
 
 def _check_stream(rig: Rig) -> None:
+    """Raise AbortError if the camera reports a fault or has stopped sending frames."""
     silent_ns = rig.measure_silence_ns()
     newest = rig.loop.frames.newest
     if newest is not None and newest.frame.fault:

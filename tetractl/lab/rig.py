@@ -156,7 +156,7 @@ class Rig:
         return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost_robots]
 
     def describe_untracked(self, robot: int) -> str:
-        """Describe for the operator that a robot, given by its index, is not tracked, and why."""
+        """Create a message that a robot (given by its index) is not tracked and, if known, why."""
         reason = self.loop.guard.refusal_reasons[robot]
         return f"{self.setup.names[robot]} is not tracked" + (f": {reason}" if reason else "")
 

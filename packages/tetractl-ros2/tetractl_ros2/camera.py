@@ -345,7 +345,7 @@ class Ros2Camera:
         """
         late_ns = 0
         if stamp_ns > 0:
-            late_ns = self._clocks[topic].late_ns(stamp_ns, at_ns)
+            late_ns = self._clocks[topic].measure_lateness_ns(stamp_ns, at_ns)
         else:
             self._has_unstamped = True
         return max(0, at_ns - round(self.section.latency * SECOND) - late_ns)

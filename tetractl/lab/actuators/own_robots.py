@@ -115,10 +115,12 @@ class OwnRobots(SpeedRobots):
         return self.packed(row, 0, 0)
 
     def _halt(self, emergency: bool) -> int:
+        """Send each robot the message that stops it; see `WheeledActuator`."""
         rows = range(len(self.robots))
         return self.links.send(self.halt(row, emergency) for row in rows)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
+        """Send each robot the message with its wheel speeds; see `WheeledActuator`."""
         wheel_outputs = enumerate(outputs.T.tolist())
         sent_ns = self.links.send(
             self.packed(row, left, right) for row, (left, right) in wheel_outputs

@@ -73,9 +73,10 @@ class PolledLink(Protocol):
         ...
 
     def receive_replies(self, timeout_s: float) -> Iterable[Reply]:
-        """Return the replies received so far, or wait for one for at most `timeout_s` seconds.
+        """Return the replies received so far. If there are none, wait until a reply arrives.
 
-        The result is empty if none arrives.
+        Args:
+            timeout_s: Maximum time to wait [s]. The result is empty if no reply arrives.
         """
         ...
 

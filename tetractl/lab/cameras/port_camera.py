@@ -151,7 +151,7 @@ class PortCamera(ABC):
             return
         late_ns = 0
         if stamp_s is not None:
-            late_ns = self._stamps.late_ns(round(stamp_s * SECOND), received_ns)
+            late_ns = self._stamps.measure_lateness_ns(round(stamp_s * SECOND), received_ns)
         exposed_ns = max(0, received_ns - round(self.section.latency * SECOND) - late_ns)
         self._frame_count += 1
         self._pending_frames.append(

@@ -16,7 +16,7 @@ class StampClock:
     def __init__(self) -> None:
         self._gaps_ns = deque[int](maxlen=STAMPS_MAX)
 
-    def late_ns(self, stamp_ns: int, received_ns: int) -> int:
+    def measure_lateness_ns(self, stamp_ns: int, received_ns: int) -> int:
         """Add a message, and return how much later it arrived than the fastest message [ns].
 
         Args:

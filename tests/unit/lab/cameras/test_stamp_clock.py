@@ -12,7 +12,9 @@ def test_a_message_is_late_by_what_it_took_longer_than_the_fastest(offset_ns, ta
     for k, taken in enumerate(taken_ns):
         stamp_ns = 1000 * k
         fastest_ns = min(taken_ns[: k + 1])
-        assert clock.late_ns(stamp_ns, stamp_ns + offset_ns + taken) == taken - fastest_ns
+        assert (
+            clock.measure_lateness_ns(stamp_ns, stamp_ns + offset_ns + taken) == taken - fastest_ns
+        )
         assert clock.shortest_gap_ns == offset_ns + fastest_ns
 
 
@@ -22,8 +24,8 @@ def test_before_the_first_message_nothing_is_known():
 
 def test_a_message_is_forgotten_after_so_many_others():
     clock = StampClock()
-    clock.late_ns(0, 5)
+    clock.measure_lateness_ns(0, 5)
     for _ in range(STAMPS_MAX - 1):
-        assert clock.late_ns(0, 8) == 3
-    assert clock.late_ns(0, 8) == 0
+        assert clock.measure_lateness_ns(0, 8) == 3
+    assert clock.measure_lateness_ns(0, 8) == 0
     assert clock.shortest_gap_ns == 8

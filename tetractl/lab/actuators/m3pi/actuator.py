@@ -58,9 +58,11 @@ class M3piActuator(WheeledActuator):
         return Health(questions=self.link.questions)
 
     def _halt(self, emergency: bool) -> int:
+        """Send one stop to all robots; see `WheeledActuator`."""
         return self._radio.send(Flag.EMERGENCY_STOP if emergency else Flag(0))
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
+        """Send the wheel counts of all robots in one frame; see `WheeledActuator`."""
         counts_by_robot = outputs.T.tolist()
         sent_ns = self._radio.drive([(counts[0], counts[1]) for counts in counts_by_robot])
         return sent_ns, self.drivetrains.speeds(outputs)

@@ -44,9 +44,11 @@ class TwistActuator(WheeledActuator):
         )
 
     def _halt(self, emergency: bool) -> int:
+        """Send one stop to all robots; see `WheeledActuator`."""
         return self.link.stop(emergency)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
+        """Send each robot its wheel speeds, or a speed and a turning rate, in one line."""
         wheel_speeds = outputs.astype(float)
         sent_numbers = wheel_speeds
         if self.section.sends != "wheels":

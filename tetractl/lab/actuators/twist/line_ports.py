@@ -66,7 +66,7 @@ class TwistLink(PortGroup):
         )
 
     def drive(self, commands: Sequence[tuple[int, int]]) -> int:
-        """Send each robot its pair of numbers, and return the time of the last sending [ns].
+        """Send each robot its two numbers, and return when the last line was sent [ns].
 
         The numbers are speed [mm/s] and turning rate [mrad/s], or the speeds of left and right
         wheel [mm/s], as the section's field `sends` says.
@@ -108,7 +108,7 @@ class TwistLink(PortGroup):
         return self._sequence, sent_ns
 
     def receive_replies(self, timeout_s: float) -> list[Reply]:
-        """Return the replies received so far, or wait until one arrives.
+        """Return the replies received so far. If there are none, wait until a reply arrives.
 
         Args:
             timeout_s: The longest wait [s]. The list is empty if nothing arrives in this time, or

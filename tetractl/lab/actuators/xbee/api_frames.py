@@ -83,6 +83,7 @@ class Decoder:
         return [content for byte in data if (content := self._add_byte(byte)) is not None]
 
     def _add_byte(self, byte: int) -> bytes | None:
+        """Add one received byte. If it completes a valid frame, return the frame's content."""
         if byte == START:
             self._start_new_frame()
         elif not self._raw_bytes:  # between frames

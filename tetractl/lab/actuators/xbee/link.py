@@ -114,9 +114,11 @@ class XbeeLink:
         self._port.close()
 
     def _wait(self, is_done: Callable[[], bool], timeout_s: float) -> None:
+        """Wait until a condition holds or the port has failed, for at most `timeout_s` seconds."""
         wait_for(self._clock, lambda: is_done() or self.failure is not None, timeout_s)
 
     def _process_bytes(self, data: bytes, now: int) -> None:
+        """Decode received bytes: store the module's answers, and the data from other modules."""
         for content in self._decoder.feed(data):
             if (answer := frames.answered(content)) is not None:
                 frame_id, command, value = answer

@@ -212,6 +212,7 @@ class OptitrackCamera:
         return Health(tuple(problems), tuple(warnings), facts, emulated=EMULATED_NAME in server)
 
     def _open_sockets(self) -> None:
+        """Open a socket for commands and, in multicast, another one for frames."""
         section = self.section
         command_socket = self._make_socket(self.turn)
         self._sockets.append(command_socket)
@@ -231,6 +232,7 @@ class OptitrackCamera:
             endpoint.setblocking(False)
 
     def _receive(self) -> None:
+        """Send requests and read datagrams until the camera is closed, in a thread of its own."""
         while not self._closing.is_set():
             try:
                 self._send_due_requests()
@@ -323,6 +325,7 @@ class OptitrackCamera:
             yield "echo", SECOND // 50 if is_initial else SECOND // 2, natnet.EchoRequest(now_ns)
 
     def _send(self, message: natnet.ClientMessage) -> None:
+        """Send a message to the server. A socket error is only stored."""
         data = pack_message(message)
         try:
             self._sockets[0].sendto(data, (self.section.server, self.section.command_port))
@@ -330,4 +333,5 @@ class OptitrackCamera:
             self.error = error
 
     def _wait(self, is_done: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until a condition holds, for at most `timeout_s` seconds. Return whether it does."""
         return wait_for(self._clock, is_done, timeout_s)

@@ -80,6 +80,7 @@ def create_no_frames_error(
 
 
 def _create_unread_error(server: str, stream: NatNetStream, timeout_s: float) -> AbortError:
+    """Create the error for a server whose frames cannot be read in its protocol version."""
     assert stream.info is not None and stream.version is not None, "it answers"
     server_version = stream.info.version
     protocol = _find_fitting_protocol(stream.last_unread_frame, stream)
@@ -170,6 +171,7 @@ def list_bodies(stream: NatNetStream) -> str:
 
 
 def _describe_body(body_id: int, name: str | None, is_streamed: bool) -> str:
+    """Describe a rigid body by its name and id, and mark a body that is not streamed."""
     description = (
         f"id {body_id}" if name is None else f"'{printable(name, SHOWN_LENGTH)}' (id {body_id})"
     )

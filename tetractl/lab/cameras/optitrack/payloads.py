@@ -153,6 +153,7 @@ class Cursor:
         return size
 
     def _require(self, count: int, size_min: int, size: int) -> None:
+        """Raise WireError unless `count` elements fit into `size` bytes of the payload."""
         if not 0 <= count * size_min <= size <= self.remaining:
             raise WireError(
                 f"{count} elements of {size_min} bytes or more in {size} bytes; "
@@ -256,6 +257,7 @@ def _read_measured(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ..
 
 
 def _read_body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
+    """Read one rigid body of a frame. Its markers and its mean error are skipped."""
     number, *pose = cursor.read(POSE)
     if not layout.has_exposure_time:
         cursor.skip_elements(MARKER_OF_BODY_BEFORE_3)

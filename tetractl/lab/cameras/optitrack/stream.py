@@ -321,6 +321,7 @@ class NatNetStream:
         return message
 
     def _count_unread(self, datagram: bytes) -> None:
+        """Count a datagram that could not be read. Frames before SERVERINFO are not counted."""
         message_kind = int.from_bytes(datagram[:2], "little")
         if self.info is None and message_kind in (
             natnet.MessageKind.FRAME,
@@ -335,6 +336,7 @@ class NatNetStream:
             self.counts.unread_models += 1
 
     def _process(self, message: natnet.ServerMessage, received_ns: int) -> None:
+        """Store the information in a message that the server has sent."""
         match message:
             case natnet.NatNetFrame():
                 self._process_frame(message, received_ns)
@@ -356,6 +358,7 @@ class NatNetStream:
                 pass
 
     def _process_response(self, response: natnet.Response) -> None:
+        """Store the answer to the last text request: the vertical axis, or the unit of length."""
         request = self._requests.take_text()
         if request == UP_AXIS_SETTING and self.up_axis is None:
             self.up_axis_answer = int(read_number(response, "i"))
@@ -373,6 +376,7 @@ class NatNetStream:
                 )
 
     def _process_frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
+        """Store a frame as the newest one, unless it was overtaken by a newer frame."""
         sampled_ns = self._find_exposure(frame, received_ns)
         previous = self.newest
         if previous is not None and frame.number <= previous.number:
@@ -389,6 +393,11 @@ class NatNetStream:
         self.newest = self._build_camera_frame(frame, sampled_ns, received_ns)
 
     def _find_exposure(self, frame: natnet.NatNetFrame, received_ns: int) -> int:
+        """Convert a frame's time of exposure to the host's clock [ns].
+
+        If the server's clock is unknown or wrong, the result is the time of reception. Raises
+        WireError for the first few frames in a row that have an implausible time.
+        """
         if frame.exposure is None or self.clock_sync is None or not self.clock_sync.is_synced:
             return received_ns
         sampled_ns = self.clock_sync.to_host(frame.exposure)

@@ -63,6 +63,7 @@ def _require_version(
 
 
 def _parse_server_info(payload: bytes) -> natnet.ServerInfo:
+    """Decode SERVERINFO. Before NatNet 3.0, it contains no clock rate and no port."""
     name, reported_version = read_sender(payload)
     if reported_version < (3, 0):
         return natnet.ServerInfo(name, reported_version, 0, 0)

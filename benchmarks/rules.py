@@ -124,11 +124,11 @@ def _one_signal_more(self: Mpc, step: mpc.ControlStep, searcher: Searcher, start
 
 
 def _stop_now(self: Mpc, problem: Any, within_s: float) -> Any:
-    return find_best_stop(problem, self.estimator.held_at_action, 0.0)
+    return find_best_stop(problem, self.estimator.directions_at_action, 0.0)
 
 
 def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
-    return find_best_stop(problem, self.estimator.held_at_action, within_s)
+    return find_best_stop(problem, self.estimator.directions_at_action, within_s)
 
 
 _with_margins = Mpc._with_margins
@@ -138,7 +138,7 @@ _off_course = margins.max_deviation
 
 
 def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
-    return _with_margins(self, problem, estimate or self.estimator.known)
+    return _with_margins(self, problem, estimate or self.estimator.present_estimate)
 
 
 def _off_course_by_uncertainty(
@@ -232,14 +232,14 @@ RULES = {
         (_returns(Mpc, "_keeps_signal", False),), ("sparse-radio", "lossy-radio")
     ),
     "a sparse radio is shown twice": Rule(
-        ((Reception, "is_sparse", property(lambda self: self.times_shown > 0)),),
+        ((Reception, "is_sparse", property(lambda self: self.times_detected > 0)),),
         ("sparse-radio", "later", "lossy-radio"),
     ),
     "few of directions missed in a row count": Rule(
-        ((reception, "MISSED_IN_A_ROW", 10**6),), ("sparse-radio", "later", "silent")
+        ((reception, "MISSED_IN_A_ROW_MAX", 10**6),), ("sparse-radio", "later", "silent")
     ),
     "directions of which frames say nothing": Rule(
-        ((reception, "LN_SAYS", 0.0),), ("sparse-radio", "later", "silent")
+        ((reception, "LN_PRODUCT_MIN", 0.0),), ("sparse-radio", "later", "silent")
     ),
     # filter and bank
     "spacing of frames": Rule(((filter, "SPACING_NS", 1),), ("bench", "later")),

@@ -91,10 +91,10 @@ class LabPlantSection(RigSection):
     type: Literal["lab"] = "lab"
 
 
-RECENT = 600
-"""Number of observations kept, a few seconds.
+RECENT_MAX = 600
+"""Maximum number of recent observations kept: a few seconds.
 
-For robots that cannot stand still, the one nearest to the stop gives the final poses.
+If robots cannot stand still, the observation nearest to the stop gives the final poses.
 """
 
 
@@ -108,12 +108,12 @@ class LabFrames:
     def __init__(self, rig: Rig) -> None:
         self.newest: Observation | None = None
         self._rig = rig
-        self._adds = rig.camera if isinstance(rig.camera, AddsToFrames) else None
+        self._frame_adder = rig.camera if isinstance(rig.camera, AddsToFrames) else None
         self._heading = rig.setup.starts.heading  # not wrapped, of the last poses
         self.path_check = PathCheck.for_setup(rig.setup)
         self._read_count = 0  # of the rig's accepted frames
         self._additions: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
-        self._recent: deque[Observation] = deque(maxlen=RECENT)
+        self._recent: deque[Observation] = deque(maxlen=RECENT_MAX)
 
     def begin(self) -> None:
         """Start with the newest frame, so that `read` returns it first.
@@ -128,8 +128,8 @@ class LabFrames:
         The path of the robots is checked at the same time.
         """
         frames, self._read_count = self._rig.loop.frames.since(self._read_count)
-        if self._adds is not None:
-            for addition in self._adds.additions():
+        if self._frame_adder is not None:
+            for addition in self._frame_adder.additions():
                 self._additions[addition.sampled_ns] = addition
         observations = [self._observation(frame) for frame in frames]
         samples: list[Sample] = []
@@ -224,10 +224,10 @@ class LabPlant:
         try:
             findings = wait_until_ready(rig, self._supervision)
         except AbortError as error:
-            raise self._refused(error) from None
-        now = self.clock.now()
+            raise self._start_error(error) from None
+        now_ns = self.clock.now()
         for warning in findings.all_warnings:
-            self._notes.append(Note(now, "warning", warning))
+            self._notes.append(Note(now_ns, "warning", warning))
         rig.loop.guard.pass_preflight()
         self._frames.begin()
         if rig.loop.frames.newest is None:
@@ -279,8 +279,7 @@ class LabPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame since the last call, oldest first.
 
-        The first call after `settle` returns frames up to the one that contains the final poses of
-        the verdict.
+        The first call after `settle` returns frames up to the frame with the verdict's final poses.
         """
         if not self._settled:
             self._take_frames()
@@ -330,29 +329,29 @@ class LabPlant:
             first.
         """
         guard = self.rig.loop.guard
-        rest = self._come_to_rest()
-        if self._check_pause("after the stop") and not rest.fault:
-            rest = self._come_to_rest()  # as after every abort
-        not_at_rest = rest.reason
-        if not_at_rest:
-            self._note("error", not_at_rest)
+        standstill = self._come_to_rest()
+        if self._check_pause("after the stop") and not standstill.fault:
+            standstill = self._come_to_rest()  # as after every abort
+        not_at_rest_reason = standstill.reason
+        if not_at_rest_reason:
+            self._note("error", not_at_rest_reason)
         if guard.dropped_frame_count:
             self._note("warning", describe_dropped_frames(guard.dropped_frame_count))
-        turns = guard.drift.describe_turning()
-        if turns:
-            self._note("info", turns)
+        turning_note = guard.drift.describe_turning()
+        if turning_note:
+            self._note("info", turning_note)
         if guard.state is GuardState.ABORT:
-            not_at_rest = not_at_rest or guard.reason
+            not_at_rest_reason = not_at_rest_reason or guard.reason
         self._take_frames()
         self._settled = True
         turn, turn_std = guard.drift.estimate_turning()
-        verdict = self._frames.path_check.verdict(self._final(), not_at_rest)
+        verdict = self._frames.path_check.verdict(self._final_poses(), not_at_rest_reason)
         return replace(
             verdict,
-            unrest=rest.unrest,
+            unrest=standstill.unrest,
             turn=turn,
             turn_std=turn_std,
-            can_restart=rest == Standstill()
+            can_restart=standstill == Standstill()
             and not guard.emergency
             and self.rig.actuator.failure is None,
         )
@@ -375,14 +374,17 @@ class LabPlant:
             self._notes.extend(watch.see(sample.observation.sampled_ns))
         self._take_losses(watch, newest.sampled_ns)
 
-    # asked once: to look for a protocol's members takes as long as to check a frame
     @cached_property
     def _watch(self) -> RobotWatch | None:
+        """The camera's watch for lost robots. None if the camera has none.
+
+        It is cached, because looking for a protocol's members takes as long as checking a frame.
+        """
         camera = self.rig.camera
         watches = isinstance(camera, WatchesRobots)
         return camera.watch(self.setup, self.rig.limits) if watches else None
 
-    def _take_losses(self, watch: RobotWatch, now: int) -> None:
+    def _take_losses(self, watch: RobotWatch, now_ns: int) -> None:
         """Report the robots that the camera's watch counts as lost to the guard.
 
         If the spec allows it, another body replaces a robot that has been lost for long enough.
@@ -396,19 +398,19 @@ class LabPlant:
         if loss is None or not loss.replaced:
             return
         for i, seen_ns in self.rig.loop.guard.lost_robots.items():
-            if now - seen_ns < loss.after_s * SECOND:
+            if now_ns - seen_ns < loss.after_s * SECOND:
                 continue
-            what = watch.replace(i)
-            if what:
+            replacement = watch.replace(i)
+            if replacement:
                 with self.rig.loop.between_steps() as guard:
                     guard.replace_robot(i)
-                self._notes.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
+                self._notes.append(Note(now_ns, "warning", f"{self.setup.names[i]} {replacement}"))
 
-    def _final(self) -> Poses:
+    def _final_poses(self) -> Poses:
         """Return the final poses of the robots.
 
-        They are the poses at standstill. For robots that swim on, they are the poses in the frame
-        whose exposure is nearest to the time of the stop. Without any frame, they are the starts.
+        The poses are those at standstill. If the robots swim on, the frame whose exposure is
+        nearest to the time of the stop gives the poses. Without any frame, they are the starts.
         """
         newest = self._frames.newest
         if newest is None:
@@ -436,7 +438,7 @@ class LabPlant:
             return Standstill()
         return wait_for_rest(self.rig, self._supervision.cancelled)
 
-    def _refused(self, error: AbortError) -> AbortError:
+    def _start_error(self, error: AbortError) -> AbortError:
         """Return the error for a run that does not start, after stopping robots that move.
 
         The error's message then also names robots that may still be driving.
@@ -468,14 +470,17 @@ class LabPlant:
         return bool(lines)
 
     def _raise_abort(self) -> None:
+        """Raise AbortError with the guard's reason if the guard has aborted the run."""
         if self.rig.loop.guard.state is GuardState.ABORT:
             raise AbortError(self.rig.loop.guard.reason)
 
     def _note(self, level: str, text: str) -> None:
+        """Add a note to the operator, with the present time."""
         self._notes.append(Note(self.clock.now(), level, text))
 
 
 def _facts(findings: Preflight) -> dict[str, str]:
+    """Collect the facts of the preflight check for the log, such as latency and batteries."""
     latency_ms = findings.latency_ms
     batteries = [
         f"{robot.name} {robot.status.battery}"

@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 
-from tetractl.control.estimation.filter_start import LEAST_SPEED
+from tetractl.control.estimation.filter_start import SPEED_MIN
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.spec.identified import Identified, IdentifiedRobot, IdentifiedValue
@@ -150,7 +150,7 @@ def identify(
                 f"at least {INTERVALS_MIN} intervals are needed: give more logs, or longer ones",
             )
     speed = speeds(frames)
-    if speed.min() < LEAST_SPEED:
+    if speed.min() < SPEED_MIN:
         standing_robot = names[int(np.argmin(speed))]
         raise UsageError(
             f"robot {standing_robot} does not move in these logs",

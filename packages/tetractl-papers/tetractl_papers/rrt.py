@@ -154,7 +154,7 @@ class Rrt(PlainController):
         ):
             return None
         delay_ns, error = find_best_stop(
-            problem, self.estimator.held_at_action, self.section.period
+            problem, self.estimator.directions_at_action, self.section.period
         )
         if error > predict_with_costs(problem, signals).target:
             return None

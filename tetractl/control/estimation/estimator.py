@@ -56,7 +56,8 @@ class StateEstimator:
     ) -> None:
         self.problem = problem
         self.losses = Losses(loss, problem.speed)
-        self.robots_changed = False  # whether robots were lost or replaced since the step before
+        self.robots_changed = False
+        """Whether robots were lost or replaced since the previous step."""
         self._period_ns = round(period_s * SECOND)
         self.filter = None if prior.certain else _filter_bank(prior)
         """The filters that identify each robot's motion.
@@ -66,12 +67,13 @@ class StateEstimator:
         self._predictor = self.filter or KnownMotion(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._predictions = PredictionCheck(period_s)
-        self._has_misfit = False  # whether the model did not fit at some time
-        self._last_problem: Problem | None = None  # of all robots, in the step before
+        self._has_misfit = False  # whether the model failed to fit at any time so far
+        self._last_problem: Problem | None = None  # of all robots, in the previous step
         self._last_sent_ns: int | None = None
         self._newest_ns = 0
-        self._held = np.full(len(problem.a), np.nan)
-        self.dead_time_s = prior.dead_time  # [s]; later the identified one, if any is
+        self._held_directions = np.full(len(problem.a), np.nan)
+        self.dead_time_s = prior.dead_time
+        """Time from a command to its effect [s]: from the prior, later as identified."""
 
     @property
     def present(self) -> Bools:
@@ -87,7 +89,7 @@ class StateEstimator:
         return self.filter is not None and self.filter.reception.is_sparse
 
     @property
-    def known(self) -> Estimate | None:
+    def present_estimate(self) -> Estimate | None:
         """The latest estimate of the motion, for the robots that are not lost.
 
         None if the motion is known exactly, so that nothing is identified.
@@ -104,8 +106,8 @@ class StateEstimator:
 
         Args:
             observation: The newest frame.
-            last_command: The command of the previous step, None if there is none to add.
-            earlier: Frames between that of the previous step and the newest one, oldest first.
+            last_command: The command of the previous step. None if there is none to add.
+            earlier: Frames between the frame of the previous step and the newest, oldest first.
 
         Returns:
             The problem with the poses that the robots will have when the next direction takes
@@ -114,7 +116,7 @@ class StateEstimator:
         Raises:
             ControlError: If all robots are lost.
         """
-        self._compare(last_command, observation)
+        self._record_step(last_command, observation)
         if last_command is not None:
             self.add_command(last_command)
         self._newest_ns = observation.sampled_ns
@@ -126,7 +128,7 @@ class StateEstimator:
         self._predictor.add_frames(observation, earlier)
         self._predictor.restart(replaced)
         forecast = self._predictor.forecast(self.sending_ns(observation))
-        self._held = forecast.directions
+        self._held_directions = forecast.directions
         self.dead_time_s = forecast.dead_time_s
         if isinstance(forecast, KnownForecast):
             return replace(self.problem, poses=forecast.poses).only(self.present)
@@ -148,8 +150,8 @@ class StateEstimator:
         self._last_problem = problem
         return problem.only(self.present)
 
-    def _compare(self, last_command: Command | None, observation: Observation) -> None:
-        """Note the previous step. Its prediction is compared with frames if the model misfits.
+    def _record_step(self, last_command: Command | None, observation: Observation) -> None:
+        """Record the previous step, to compare its prediction with frames if the model misfits.
 
         Predictions are only compared while all robots drive.
         """
@@ -172,11 +174,11 @@ class StateEstimator:
             self._last_sent_ns = None if command.direction is None else command.sent_ns
         if self.estimate is None:
             command = replace(command, sent_ns=self._newest_ns)
-        if self._is_sent_again(command):
+        if self._is_repetition(command):
             return
         self._predictor.add_command(command)
 
-    def _is_sent_again(self, command: Command) -> bool:
+    def _is_repetition(self, command: Command) -> bool:
         """Check whether a command repeats the last one within a signal period of a sparse radio.
 
         Control steps are not perfectly regular. A command that comes up to half a step before the
@@ -193,7 +195,7 @@ class StateEstimator:
         return bool(is_same and since_ns < signal_ns - self._period_ns // 2)
 
     def sending_ns(self, observation: Observation) -> int:
-        """Return the time from which the dead time of the next direction is counted [ns].
+        """Compute the time from which the dead time of the next direction counts [ns].
 
         The spec's dead time counts from the exposure of the frame on which a direction is decided,
         so the result is the time of the exposure. An identified dead time counts from the sending
@@ -211,12 +213,12 @@ class StateEstimator:
         return due_ns if is_due else received_ns
 
     @property
-    def held_at_action(self) -> Floats:
+    def directions_at_action(self) -> Floats:
         """The direction [rad] that each robot follows when the next direction takes effect.
 
         Lost robots are left out. The direction is NaN for a robot that stands still.
         """
-        return self._held[self.present]
+        return self._held_directions[self.present]
 
 
 def _filter_bank(prior: Prior) -> "FilterBank":

@@ -85,7 +85,7 @@ from tetractl.control.estimation.filter_start import (
     bank_with_replaced,
     filter_model,
     first_bank,
-    first_tried,
+    first_tried_state,
     reopened_bank,
 )
 from tetractl.control.estimation.kernels.filter_state import (
@@ -168,7 +168,7 @@ class FilterBank:
         """
         self._common_times = CommonTimes.of(self.bank, prior)
         """Dead times that all robots of this bank may have in common."""
-        self._tried = first_tried(prior)
+        self._tried_state = first_tried_state(prior)
         self._share_scores()
 
     # ---- what a controller calls ----
@@ -184,11 +184,11 @@ class FilterBank:
             earlier: Frames since the newest of the previous step, oldest first.
         """
         misfits = self._misfits()
-        times_sparse_before = self.reception.times_shown
-        self._follow_frames(self._frames_used(newest, earlier))
+        times_sparse_before = self.reception.times_detected
+        self._follow_frames(self._select_frames(newest, earlier))
         self._share_scores()
         self._select_filters()
-        first_seems_sparse = times_sparse_before == 0 and self.reception.times_shown == 1
+        first_seems_sparse = times_sparse_before == 0 and self.reception.times_detected == 1
         if first_seems_sparse:
             self._reopen(newest, heading_fits=True)
         elif misfits.any() and self._may_reopen(newest):
@@ -201,11 +201,11 @@ class FilterBank:
         all commands that have not acted yet. It changes no filter. At least one frame must have
         been added before.
         """
-        from tetractl.control.estimation.kernels.bank import forecast as fill
+        from tetractl.control.estimation.kernels.bank import forecast as fill_forecast
 
         assert self.last_frame is not None, "poses are predicted from those of a frame"
         forecast = Forecast.room_for(len(self.prior.a))
-        dead_time_s, dead_time_std_s = fill(
+        dead_time_s, dead_time_std_s = fill_forecast(
             self.bank,
             self.model,
             self.commands,
@@ -250,11 +250,11 @@ class FilterBank:
         assert self.last_frame is not None, "a robot can be replaced only after a frame"
         replaced = np.zeros(len(self.prior.a), dtype=np.bool_)
         replaced[robots] = True
-        self._tried = first_tried(self.prior)
-        self._go_on_with(bank_with_replaced(self.bank, self.prior, replaced))
-        self._place(self.last_frame, replaced)
+        self._tried_state = first_tried_state(self.prior)
+        self._replace_bank(bank_with_replaced(self.bank, self.prior, replaced))
+        self._set_poses(self.last_frame, replaced)
 
-    # ---- what the filters say ----
+    # ---- estimates of the filters ----
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
         """Locate the most probable hypothesis of each robot in the arrays of the bank.
@@ -283,7 +283,7 @@ class FilterBank:
         return lag_s, np.sqrt(variance + np.square(LAG_STEP_S / 4))
 
     def _likeliest_filters(self) -> Integers:
-        """Return the index of each robot's likeliest filter, shape (N,)."""
+        """Find the index of each robot's likeliest filter, shape (N,)."""
         return self.bank.shared_score.argmax(axis=0)
 
     def _misfits(self) -> Bools:
@@ -303,7 +303,7 @@ class FilterBank:
 
     # ---- steps 1 and 2: filters follow the frames that are used ----
 
-    def _frames_used(
+    def _select_frames(
         self, newest: Observation, earlier: Sequence[Observation]
     ) -> list[Observation]:
         """Select the frames that the filters use, in the order of time.
@@ -312,14 +312,14 @@ class FilterBank:
         earlier frames, the newest one is always used, because one more frame per control step does
         no harm.
         """
-        used = list[Observation]()
-        last = self.last_frame
+        selected = list[Observation]()
+        last_selected = self.last_frame
         for frame in (*earlier, newest):
-            least_gap_ns = 1 if earlier and frame is newest else SPACING_NS
-            if last is None or frame.sampled_ns >= last.sampled_ns + least_gap_ns:
-                used.append(frame)
-                last = frame
-        return used
+            gap_min_ns = 1 if earlier and frame is newest else SPACING_NS
+            if last_selected is None or frame.sampled_ns >= last_selected.sampled_ns + gap_min_ns:
+                selected.append(frame)
+                last_selected = frame
+        return selected
 
     def _follow_frames(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the last frame used through some more frames.
@@ -332,25 +332,29 @@ class FilterBank:
         if not frames:
             return
         if self.turns_on_the_spot:
-            self._place(frames[-1], self._all_robots())
+            self._set_poses(frames[-1], self._all_robots())
         elif self.last_frame is None:
-            self._place(frames[0], self._all_robots())
+            self._set_poses(frames[0], self._all_robots())
             if len(frames) > 1:
                 self._follow(frames)
         else:
             self._follow([self.last_frame, *frames])
         self.last_frame = frames[-1]
 
-    def _place(self, frame: Observation, placed: Bools) -> None:
-        """Set the robots `placed` (N,) to their poses in a frame, in all their filters.
+    def _set_poses(self, frame: Observation, is_set: Bools) -> None:
+        """Set some robots to their poses in a frame, in all their filters.
 
-        From then on, these robots follow the last command that had taken effect at the time of the
-        frame.
+        Starting with this frame, these robots follow the last command that had taken effect at the
+        time of the frame.
+
+        Args:
+            frame: The camera frame.
+            is_set: Whether to set each robot, shape (N,).
         """
         from tetractl.control.estimation.kernels.filter import place
 
         poses = frame.poses.array()
-        place(self.bank, self.model, self.commands, frame.seconds, poses, placed)
+        place(self.bank, self.model, self.commands, frame.seconds, poses, is_set)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the first to the last of some frames, in all their filters."""
@@ -371,8 +375,8 @@ class FilterBank:
             return
         likeliest = self._likeliest_filters()
         for frame in range(1, len(frames)):
-            pair = measured.part(frame - 1, frame + 1)
-            follow(self.bank, self.model, self.commands, pair, self._is_noisy, step_s)
+            frame_pair = measured.part(frame - 1, frame + 1)
+            follow(self.bank, self.model, self.commands, frame_pair, self._is_noisy, step_s)
             self.reception.add_frame(self.bank, likeliest, self.commands)
 
     @property
@@ -400,13 +404,13 @@ class FilterBank:
         """Drop unlikely filters, and refine each robot's grid around its likely dead times."""
         from tetractl.control.estimation.kernels.bank import select
 
-        most = max(len(self.bank.score), REFINED * GROUPS_MAX)
-        going_on = NextFilters.room_for(most, self.bank)  # filled by `select`
-        commanded = len(self.commands.sent_s) > 0
-        if select(self.bank, *self._tried, commanded, going_on):
-            self._go_on_with(going_on.taken_from(self.bank))
+        n_filters_max = max(len(self.bank.score), REFINED * GROUPS_MAX)
+        next_filters = NextFilters.room_for(n_filters_max, self.bank)  # filled by `select`
+        has_commands = len(self.commands.sent_s) > 0
+        if select(self.bank, *self._tried_state, has_commands, next_filters):
+            self._replace_bank(next_filters.taken_from(self.bank))
 
-    def _go_on_with(self, bank: Bank) -> None:
+    def _replace_bank(self, bank: Bank) -> None:
         """Replace all filters by those of another bank, and compare their scores again."""
         self.bank = bank
         self._common_times = CommonTimes.of(bank, self.prior)
@@ -437,9 +441,9 @@ class FilterBank:
         self.model = self.model._replace(walk=walk)
         self.reopened_ns = frame.sampled_ns
         if not heading_fits:
-            self._tried = TRIED_SATURATIONS
-        self._go_on_with(bank)
-        self._place(frame, self._all_robots())
+            self._tried_state = TRIED_SATURATIONS
+        self._replace_bank(bank)
+        self._set_poses(frame, self._all_robots())
 
     def _all_robots(self) -> Bools:
         """Return an array of True, shape (N,), which selects every robot."""

@@ -96,8 +96,8 @@ FREQUENCY_STD = 0.15
 """Prior standard deviation of the logarithm of the helix's frequency in each filter."""
 GRID_REACH = 3.0
 """Half width of the grid of dead times at first, in standard deviations of the prior."""
-LEAST_SPEED = 1e-9
-"""Minimum speed by which a noise is divided [length unit/s], because a robot's speed may be 0."""
+SPEED_MIN = 1e-9
+"""Minimum speed used to scale a noise [length unit/s], because a robot's speed may be 0."""
 FREQUENCIES = 0.5, 0.75, 1.0, 1.4
 """Frequencies of the helix with which filters start, as multiples of the usual frequency.
 
@@ -115,9 +115,9 @@ LAG_PRIOR_STD_S = 0.1
 """Standard deviation of the lag of the wheels around the given one [s]."""
 GROUPS_MAX = max(len(FREQUENCIES), 1 + len(SATURATIONS), 2 + round(LAG_MAX_S / LAG_STEP_S))
 """Maximum number of groups of filters that a robot has."""
-LN_SATURATES = -3.0
+LN_SATURATION_PRIOR = -3.0
 """Logarithm of the prior probability that a robot's motors saturate: about 5 %."""
-CHANGE_STD_S = 0.05
+DEAD_TIME_CHANGE_STD_S = 0.05
 """Standard deviation of the change of the dead time during a trial [s]. Chosen, not measured."""
 FIRST_SLOT = 0
 """Index of the only hypothesis with which a filter starts."""
@@ -126,25 +126,25 @@ FIRST_SLOT = 0
 # ---- what is assumed ----
 
 
-class Tried(NamedTuple):
-    """A state, such as the lag of the wheels, for which filters try several first values."""
+class TriedState(NamedTuple):
+    """A state, such as the lag of the wheels, for which filters try several starting values."""
 
     state: int
-    """The index of this quantity in the state of a filter."""
+    """Index of the tried quantity in the state of a filter."""
     same: float
-    """Groups of filters merge into one if their values of this state differ by less than this."""
+    """Difference of two groups' values of this state below which the groups merge."""
 
 
-TRIED_FREQUENCIES = Tried(LN_FREQUENCY, same=0.05)
-TRIED_SATURATIONS = Tried(LN_SATURATION, same=0.05)
-TRIED_LAGS = Tried(LAG, same=0.0)
+TRIED_FREQUENCIES = TriedState(LN_FREQUENCY, same=0.05)
+TRIED_SATURATIONS = TriedState(LN_SATURATION, same=0.05)
+TRIED_LAGS = TriedState(LAG, same=0.0)
 """The lag of the wheels as a tried state.
 
 It never changes in a filter, so groups never merge.
 """
 
 
-def first_tried(prior: Prior) -> Tried:
+def first_tried_state(prior: Prior) -> TriedState:
     """Return the state for which several starting values are tried when a trial begins.
 
     It is the logarithm of the helix's frequency for cells, and the lag of the wheels for other
@@ -156,14 +156,14 @@ def first_tried(prior: Prior) -> Tried:
 def first_lags(prior: Prior) -> list[float]:
     """Return the lags of the wheels with which filters start [s].
 
-    If the lag is certain, this is only the given one. Otherwise the lags lie LAG_STEP_S apart
-    around the given one, up to LAG_MAX_S, and include 0.
+    If the lag is certain, the list contains only the given lag. Otherwise the lags lie LAG_STEP_S
+    apart around the given one, up to LAG_MAX_S, and include 0.
     """
     if not prior.lag_is_learnt:
         return [prior.lag]
-    fewer = math.floor(prior.lag / LAG_STEP_S + 1e-9)
-    more = max(0, math.floor((LAG_MAX_S - prior.lag) / LAG_STEP_S + 1e-9))
-    lags_s = [prior.lag + LAG_STEP_S * k for k in range(-fewer, more + 1)]
+    n_below = math.floor(prior.lag / LAG_STEP_S + 1e-9)
+    n_above = max(0, math.floor((LAG_MAX_S - prior.lag) / LAG_STEP_S + 1e-9))
+    lags_s = [prior.lag + LAG_STEP_S * k for k in range(-n_below, n_above + 1)]
     return lags_s if lags_s[0] < LAG_STEP_S / 2 else [0.0, *lags_s]
 
 
@@ -178,7 +178,7 @@ def filter_model(prior: Prior) -> FilterModel:
     walk[HEADING] = WALK
     return FilterModel(
         parameters=in_rows(prior),
-        noise=_noise(prior),
+        noise=_measurement_std(prior),
         walk=walk,
         helix_rad_s=2 * math.pi * prior.helix_frequency if prior.swims else 0.0,
         host_lag_s=prior.lag,
@@ -227,7 +227,7 @@ def _deviations(prior: Prior) -> tuple[Floats, Floats]:
     return std, walk
 
 
-def _noise(prior: Prior) -> Floats:
+def _measurement_std(prior: Prior) -> Floats:
     """Return the standard deviations (3, N) of measured x, y and heading.
 
     They consist of the camera's noise, or a usual value if the noise is not known, and of the
@@ -235,7 +235,7 @@ def _noise(prior: Prior) -> Floats:
     """
     noise = np.empty((3, len(prior.a)))
     position = prior.position_noise
-    noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, LEAST_SPEED)
+    noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, SPEED_MIN)
     noise[2] = prior.heading_noise or HEADING_NOISE
     spread = np.array(prior.spread)
     return elementwise.hypot(noise, spread[:, None])
@@ -251,14 +251,14 @@ def first_bank(prior: Prior) -> Bank:
     """
     dead_times_s = _dead_times(prior)
     std = first_std(prior)
-    tried = first_tried(prior)
-    first_values = [log(f) for f in FREQUENCIES] if prior.swims else first_lags(prior)
+    tried = first_tried_state(prior)
+    first_values = [log(factor) for factor in FREQUENCIES] if prior.swims else first_lags(prior)
     groups: list[Bank] = []
-    for number, value in enumerate(first_values):
+    for group_index, value in enumerate(first_values):
         mean = np.zeros((len(dead_times_s), len(prior.a), STATES))
         mean[..., LAG] = prior.lag
         mean[..., tried.state] = value
-        group = Bank.start(dead_times_s, mean, std, _numbers(number, dead_times_s))
+        group = Bank.start(dead_times_s, mean, std, _group_indices(group_index, dead_times_s))
         group.score[:] = -np.square((mean[:, :, LAG] - prior.lag) / LAG_PRIOR_STD_S) / 2
         groups.append(group)
     return Bank.joined(groups)
@@ -272,11 +272,11 @@ def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
         prior: The prior of all robots.
         replaced: Whether each robot was replaced, (N,).
     """
-    first = first_bank(prior)
-    size = max(len(bank.score), len(first.score))
+    start_bank = first_bank(prior)
+    size = max(len(bank.score), len(start_bank.score))
     bank = bank.padded(size)
-    for column, first_column in zip(bank, first.padded(size), strict=True):
-        column[:, replaced] = first_column[:, replaced]
+    for column, start_column in zip(bank, start_bank.padded(size), strict=True):
+        column[:, replaced] = start_column[:, replaced]
     return bank
 
 
@@ -303,22 +303,22 @@ def reopened_bank(
         prior: The prior of all robots.
     """
     std = first_std(prior)
-    unchanged = _around_likeliest(bank, likeliest, prior, std)
-    groups = [unchanged]
+    base_group = _around_likeliest(bank, likeliest, prior, std)
+    groups = [base_group]
     if not heading_fits:
-        for number, saturation in enumerate(SATURATIONS, 1):
-            groups.append(_saturating(unchanged, number, log(saturation), std))
+        for group_index, saturation in enumerate(SATURATIONS, 1):
+            groups.append(_saturating(base_group, group_index, log(saturation), std))
     return Bank.joined(groups)
 
 
 def _dead_times(prior: Prior) -> Floats:
     """Return the grid of dead times with which filters start [s]."""
     reach_s = GRID_REACH * prior.dead_time_std
-    least_s = max(0.0, prior.dead_time - reach_s)
-    return np.arange(least_s, prior.dead_time + reach_s + 1e-9, GRID_STEP_S)
+    dead_time_min_s = max(0.0, prior.dead_time - reach_s)
+    return np.arange(dead_time_min_s, prior.dead_time + reach_s + 1e-9, GRID_STEP_S)
 
 
-def _numbers(group: int, dead_times_s: Floats) -> Integers:
+def _group_indices(group: int, dead_times_s: Floats) -> Integers:
     """Return an array that contains the index of a group once for each of its filters.
 
     A group has one filter for each of its dead times.
@@ -331,34 +331,35 @@ def _around_likeliest(
 ) -> Bank:
     """Create filters that all start from the most probable state of each robot.
 
-    A dead time that differs by d from the likeliest one gets the score -(d / CHANGE_STD_S)^2 / 2.
+    A dead time that differs by d from the likeliest one gets the score -(d /
+    DEAD_TIME_CHANGE_STD_S)^2 / 2.
     """
     filters, robots, _ = likeliest
     dead_times_s = _dead_times(prior)
     mean = np.repeat(bank.state[likeliest][None], len(dead_times_s), axis=0)
-    group = Bank.start(dead_times_s, mean, std, _numbers(0, dead_times_s))
+    group = Bank.start(dead_times_s, mean, std, _group_indices(0, dead_times_s))
     group.cov[:, :, FIRST_SLOT] = bank.cov[likeliest]
     group.noise_scale[:] = bank.noise_scale[filters, robots]
     difference_s = group.dead_time_s - bank.dead_time_s[filters, robots]
-    group.score[:] = -np.square(difference_s / CHANGE_STD_S) / 2
+    group.score[:] = -np.square(difference_s / DEAD_TIME_CHANGE_STD_S) / 2
     return group
 
 
-def _saturating(unchanged: Bank, number: int, ln_saturation: float, std: Floats) -> Bank:
-    """Copy a group of filters as group `number`, with motors that saturate.
+def _saturating(base_group: Bank, group_index: int, ln_saturation: float, std: Floats) -> Bank:
+    """Copy a group of filters as group `group_index`, with motors that saturate.
 
     Without saturation, filters have explained slow turns by a small turning rate a and by a
     difference between the sides, and have become sure of both. The copy therefore forgets both:
     they get the values and the deviations `std` (N, n) of the prior again.
     """
-    group = unchanged.copied()
-    group.group[:] = number
+    group = base_group.copied()
+    group.group[:] = group_index
     for state in (LN_A, SIDE):
         group.state[..., state] = 0.0
         _set_uncertain(group, state, std[:, state])
     group.state[..., LN_SATURATION] = ln_saturation
     _set_uncertain(group, LN_SATURATION, SATURATION_STD)
-    group.score[:] += LN_SATURATES
+    group.score[:] += LN_SATURATION_PRIOR
     return group
 
 

@@ -78,20 +78,22 @@ class KnownMotion:
         """
         frame = self._last_frame
         assert frame is not None, "poses are predicted from those of a frame"
-        count = len(frame.valid)
-        begin_ns = np.array(frame.exposed_ns or (frame.sampled_ns,) * count)
+        n_robots = len(frame.valid)
+        begin_ns = np.array(frame.exposed_ns or (frame.sampled_ns,) * n_robots)
         end_ns = np.maximum(sent_ns + self._dead_time_ns, begin_ns)
         x, y, heading = frame.poses.x, frame.poses.y, frame.poses.heading
-        directions = np.full(count, np.nan)
-        first = max(bisect_right(self._acts_ns, int(begin_ns.min())) - 1, 0)
-        until_ns = [*self._acts_ns[first + 1 :], NEVER_NS]
-        for c, direction in enumerate(self._directions[first:]):
-            acts_ns = self._acts_ns[first + c]
+        directions = np.full(n_robots, np.nan)
+        first_index = max(bisect_right(self._acts_ns, int(begin_ns.min())) - 1, 0)
+        until_ns = [*self._acts_ns[first_index + 1 :], NEVER_NS]
+        for k, direction in enumerate(self._directions[first_index:]):
+            acts_ns = self._acts_ns[first_index + k]
             directions[acts_ns <= end_ns] = direction
-            followed_ns = np.minimum(until_ns[c], end_ns) - np.maximum(acts_ns, begin_ns)
+            followed_ns = np.minimum(until_ns[k], end_ns) - np.maximum(acts_ns, begin_ns)
             if math.isnan(direction) or not (followed_ns > 0).any():
                 continue
             seconds = np.maximum(followed_ns, 0) / SECOND
-            u = np.full(count, direction)
-            x, y, heading = exact.step(x, y, heading, u, self._prior.a, self._prior.speed, seconds)
+            directions_now = np.full(n_robots, direction)
+            x, y, heading = exact.step(
+                x, y, heading, directions_now, self._prior.a, self._prior.speed, seconds
+            )
         return KnownForecast(Poses(x, y, heading), directions, self._prior.dead_time)

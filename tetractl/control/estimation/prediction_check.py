@@ -36,8 +36,7 @@ MEMORY_S = 5.0
 COUNT_MIN = 8
 """Minimum number of comparisons from which anything is concluded; chosen."""
 EXPLAINED_MIN = 0.4
-"""Minimum fraction of the squares of a heading's deviations that an explanation has to explain;
-chosen."""
+"""Minimum fraction of a heading's squared deviations that a cause must explain; chosen."""
 TINY = 1e-30
 """Minimum of a denominator, so that nothing is divided by 0."""
 
@@ -91,15 +90,15 @@ class PredictionCheck:
     def add_step(self, step: SentStep, frame: Observation) -> None:
         """Add a control step and the camera frame that was taken after it."""
         self._steps.append(step)
-        begun = [s for s in self._steps if s.acts_ns >= frame.sampled_ns - AHEAD_S * SECOND]
-        followed = [s for s in begun if s.acts_ns < frame.sampled_ns]
+        recent = [s for s in self._steps if s.acts_ns >= frame.sampled_ns - AHEAD_S * SECOND]
+        followed = [s for s in recent if s.acts_ns < frame.sampled_ns]
         if not followed or not frame.valid.all():
             return
         if frame.sampled_ns - followed[0].acts_ns > AHEAD_S / 2 * SECOND:
             self._pending.append(Comparison(followed, frame))
 
     def errors(self) -> PredictionErrors | None:
-        """Compute the deviations in the last time. None if there are too few comparisons."""
+        """Compute the recent prediction errors. None if there are too few comparisons."""
         while self._pending:
             comparison = self._pending.popleft()
             robots = len(comparison.frame.valid)
@@ -110,7 +109,7 @@ class PredictionCheck:
 
 
 class DeviationSums:
-    """Weighted sums of the deviations of N robots, and of what may explain those of the heading."""
+    """Weighted sums of N robots' deviations, and of the causes that may explain their headings."""
 
     def __init__(self, robots: int) -> None:
         self._count = 0
@@ -123,29 +122,29 @@ class DeviationSums:
     def add(self, comparison: Comparison, period_s: float) -> None:
         """Add one comparison, and let all earlier ones lose weight."""
         deviations, causes = deviations_and_causes(comparison, period_s)
-        kept = exp(-period_s / MEMORY_S)
+        decay = exp(-period_s / MEMORY_S)
         self._count += 1
-        self._weight = kept * self._weight + 1
-        self._deviations = kept * self._deviations + deviations
-        self._squares = kept * self._squares + np.square(deviations)
-        self._effects = kept * self._effects + causes * deviations[:, 2:]
-        self._cause_squares = kept * self._cause_squares + np.square(causes)
+        self._weight = decay * self._weight + 1
+        self._deviations = decay * self._deviations + deviations
+        self._squares = decay * self._squares + np.square(deviations)
+        self._effects = decay * self._effects + causes * deviations[:, 2:]
+        self._cause_squares = decay * self._cause_squares + np.square(causes)
 
     def errors(self) -> PredictionErrors | None:
-        """Compute means, root mean squares and fits. None after fewer than COUNT_MIN frames."""
+        """Compute the prediction errors. None after fewer than COUNT_MIN comparisons."""
         if self._count < COUNT_MIN:
             return None
-        possible = np.maximum(self._cause_squares * self._squares[:, 2:], TINY)
-        explained = np.square(self._effects) / possible
-        fits = self._effects / np.maximum(self._cause_squares, TINY)
-        best = explained == explained.max(axis=1, keepdims=True)
-        extra_turn, late_s = np.where(best & (explained > EXPLAINED_MIN), fits, np.nan).T
+        explainable = np.maximum(self._cause_squares * self._squares[:, 2:], TINY)
+        explained = np.square(self._effects) / explainable
+        slopes = self._effects / np.maximum(self._cause_squares, TINY)
+        is_best = explained == explained.max(axis=1, keepdims=True)
+        extra_turn, late_s = np.where(is_best & (explained > EXPLAINED_MIN), slopes, np.nan).T
         rms = np.sqrt(self._squares / self._weight)
         return PredictionErrors(AHEAD_S, self._deviations / self._weight, rms, late_s, extra_turn)
 
 
 def deviations_and_causes(comparison: Comparison, period_s: float) -> tuple[Floats, Floats]:
-    """Predict the robots up to a frame, and compare.
+    """Compute the deviations of a frame from its prediction, and their possible causes.
 
     Returns:
         The deviations of the frame from the prediction along the predicted heading, across it
@@ -156,16 +155,17 @@ def deviations_and_causes(comparison: Comparison, period_s: float) -> tuple[Floa
     from tetractl.control.search.evaluate import compiled_prediction
 
     steps, frame = comparison
-    first = steps[0]
-    problem = replace(first.problem, period=period_s, first_period=period_s)
+    first_step = steps[0]
+    problem = replace(first_step.problem, period=period_s, first_period=period_s)
     path = compiled_prediction(problem, np.array([step.direction for step in steps])).path
-    periods = (frame.sampled_ns - first.acts_ns) / SECOND / period_s
-    before = min(int(periods), len(steps) - 1)
-    at_frame = path[before] + (periods - before) * (path[before + 1] - path[before])  # (N, 3)
+    periods = (frame.sampled_ns - first_step.acts_ns) / SECOND / period_s
+    whole_periods = min(int(periods), len(steps) - 1)
+    before = path[whole_periods]
+    at_frame = before + (periods - whole_periods) * (path[whole_periods + 1] - before)  # (N, 3)
     heading = at_frame[:, 2]
     x, y = (frame.poses.xy - at_frame[:, :2]).T
     cos, sin = elementwise.cos(heading), elementwise.sin(heading)
-    turn = wrap(frame.poses.heading - heading)
-    rates = (path[[1, before + 1], :, 2] - path[[0, before], :, 2]) / period_s
-    deviations = np.array([cos * x + sin * y, cos * y - sin * x, turn]).T
+    heading_error = wrap(frame.poses.heading - heading)
+    rates = (path[[1, whole_periods + 1], :, 2] - path[[0, whole_periods], :, 2]) / period_s
+    deviations = np.array([cos * x + sin * y, cos * y - sin * x, heading_error]).T
     return deviations, np.array([heading - path[0, :, 2], rates[0] - rates[1]]).T

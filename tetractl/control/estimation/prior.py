@@ -17,10 +17,14 @@ class Sticks(NamedTuple):
     A wheeled robot may get stuck. A cell may rest, or back off and turn.
     """
 
-    every_s: float = 30.0  # mean time until it begins
-    for_s: float = 0.5  # mean time for which it lasts
-    strays: float = 0.0  # random walk of the position meanwhile [length unit/sqrt(s)]
-    turns: float = 0.0  # random walk of the heading meanwhile [rad/sqrt(s)]
+    every_s: float = 30.0
+    """Mean time until a robot gets stuck [s]."""
+    for_s: float = 0.5
+    """Mean time for which a robot stays stuck [s]."""
+    strays: float = 0.0
+    """Random walk of the position of a stuck robot [length unit/sqrt(s)]."""
+    turns: float = 0.0
+    """Random walk of the heading of a stuck robot [rad/sqrt(s)]."""
 
 
 class Prior(NamedTuple):

@@ -390,7 +390,7 @@ class Mpc:
         motion = replace(motion, targets=self.leg.targets, first_period=first_period_s)
         periods_left = self.time.periods_left + held_periods
         return ControlStep(
-            problem=self._with_margins(motion, self.estimator.known),
+            problem=self._with_margins(motion, self.estimator.present_estimate),
             warm=self._remaining_signals(),
             horizon_max=section.horizon_max,
             signals_left=periods_left / section.signal_periods,
@@ -527,7 +527,7 @@ class Mpc:
         Returns:
             The time until that moment [ns], and the error [length unit].
         """
-        directions = self.estimator.held_at_action
+        directions = self.estimator.directions_at_action
         delay_ns, error = find_best_stop(problem, directions, within_s)
         if delay_ns == 0 or not self.can_stand_still:
             return delay_ns, error

@@ -536,7 +536,7 @@ def test_a_radio_that_works_seems_so_whenever_commands_act_between_frames(dead_t
     """Regression: frames after the next direction had acted spoke against the one before."""
     settings = (f"plant.dead_time={dead_time_s}", "plant.a_error=0.2", "plant.lost_commands=0")
     driven = drive(settings, rate=20, seed=5, directions=JUMPING)
-    assert driven.filters.reception.times_shown == 0
+    assert driven.filters.reception.times_detected == 0
 
 
 def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():

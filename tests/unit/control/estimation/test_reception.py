@@ -12,7 +12,7 @@ from tetractl.control.estimation.kernels.filter_state import (
     Bank,
     SentCommands,
 )
-from tetractl.control.estimation.reception import Reception, is_news, ln_robot_ratio
+from tetractl.control.estimation.reception import Reception, is_testable, ln_robot_ratio
 
 LN_CLEAR = 8.0
 """ln of how much likelier a robot's frames are if what they show is true."""
@@ -45,11 +45,13 @@ def by_all(heard):
 ONE_OF_FOUR = [True, False, False, False]
 
 
-@pytest.mark.parametrize(("directions", "times_shown"), [(8, 0), (12, 1), (16, 1), (24, 2)])
-def test_a_radio_is_sparse_that_twice_lets_one_direction_of_four_through(directions, times_shown):
+@pytest.mark.parametrize(("directions", "times_detected"), [(8, 0), (12, 1), (16, 1), (24, 2)])
+def test_a_radio_is_sparse_that_twice_lets_one_direction_of_four_through(
+    directions, times_detected
+):
     reception = after(by_all(ONE_OF_FOUR * (directions // 4)))
-    assert reception.times_shown == times_shown
-    assert reception.is_sparse == (times_shown == 2)
+    assert reception.times_detected == times_detected
+    assert reception.is_sparse == (times_detected == 2)
 
 
 @pytest.mark.parametrize(
@@ -61,13 +63,13 @@ def test_a_radio_is_sparse_that_twice_lets_one_direction_of_four_through(directi
     ids=["one direction in ten", "three in ten by each robot itself"],
 )
 def test_a_radio_that_loses_some_directions_works(lost):
-    assert after(~lost).times_shown == 0
+    assert after(~lost).times_detected == 0
 
 
 def test_a_silence_is_no_radio_that_lets_few_through():
     one_second = 20 * [False]
     until_the_next = 20 * [True]
-    assert after(by_all(5 * (one_second + until_the_next))).times_shown == 0
+    assert after(by_all(5 * (one_second + until_the_next))).times_detected == 0
 
 
 @pytest.mark.parametrize(
@@ -84,7 +86,7 @@ def test_a_silence_is_no_radio_that_lets_few_through():
 def test_a_direction_is_tested_if_robots_drive_otherwise_and_follow_it_no_more(directions, news):
     """Regression: the hypothesis that follows the first of A, B, A takes up the third, and those
     that miss it keep their odds, so that frames which say nothing counted as missed."""
-    assert is_news(np.array(directions), len(directions) - 1) == news
+    assert is_testable(np.array(directions), len(directions) - 1) == news
 
 
 def bank_that_follows(directions, weights, acted=TESTED):

@@ -6,10 +6,10 @@ g_i be the vector from a robot's start to its target, e_i its distance to the ta
 w_i the integral of its unit heading vector, so that the robot moves by v_i w_i. Each function
 derives its part:
 
-    reach          e_i >= |g_i| - v_i t                    one robot, that drives straight
-    drift          |w_1 - w_2| <= G(t)                     two robots turn by the same u
-    _pair_bounds   e_1 + e_2 >= min(v_1, v_2) (|g_1 / v_1 - g_2 / v_2| - G(t))
-    _least_sum     the least e_1 + ... + e_N under all of these, a linear programme
+    reach           e_i >= |g_i| - v_i t                    one robot, that drives straight
+    drift           |w_1 - w_2| <= G(t)                     two robots turn by the same u
+    _pair_bounds    e_1 + e_2 >= min(v_1, v_2) (|g_1 / v_1 - g_2 / v_2| - G(t))
+    _min_error_sum  the minimum of e_1 + ... + e_N under all of these, a linear programme
 
 The bounds also hold for the Euler model (4)-(6) and held wheel speeds (24)-(25), see `drift`.
 """
@@ -29,12 +29,12 @@ only raise it.
 """
 
 
-@np.errstate(over="ignore")  # a speed may be so great that the robot drives an infinite way
+@np.errstate(over="ignore")  # a robot may be so fast that the distance overflows
 def reach(setup: Setup, seconds: float) -> Floats:
     """Compute the minimum final distance of each robot from its target (N,) [length unit].
 
-    It is 0 if the robot can arrive within `seconds`. Each robot is assumed to drive straight to
-    its target. No other path brings it nearer, because |w_i| <= t.
+    The distance is 0 if the robot can arrive within `seconds`. Each robot is assumed to drive
+    straight to its target. No other path brings it nearer, because |w_i| <= t.
     """
     gaps = setup.starts.distances(setup.targets)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
@@ -42,7 +42,7 @@ def reach(setup: Setup, seconds: float) -> Floats:
 
 # if both turn alike, divisions by 0; if almost, e^(k t) overflows before D is 2
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
+def drift(a_1: Floats, a_2: Floats, heading_difference: Floats, seconds: float) -> Floats:
     """Compute G, an upper bound of |w_1 - w_2| for pairs of robots [s].
 
     w is the integral of a robot's unit heading vector over at most `seconds`.
@@ -68,22 +68,23 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     Args:
         a_1: Turning rate of the first robot of each pair [rad/s].
         a_2: Turning rate of the second robot [rad/s].
-        turned: Difference of their start headings [rad], at least 0.
+        heading_difference: Difference of the start headings of each pair [rad], at least 0.
         seconds: Duration [s]. All arguments broadcast.
     """
     rate = (a_1 + a_2) / 2  # k
-    relative = np.abs(a_1 - a_2) / rate  # 2d/s
-    slope = elementwise.hypot(relative, turned)  # B
+    rate_contrast = np.abs(a_1 - a_2) / rate  # 2d/s
+    slope = elementwise.hypot(rate_contrast, heading_difference)  # B
     # D = 2 is a quadratic equation in e^(k t), of which this is the solution
-    growth = (2 + np.sqrt(4 + np.square(relative))) / (turned + slope)
-    until = np.clip(elementwise.log(growth) / rate, 0.0, seconds)
+    growth = (2 + np.sqrt(4 + np.square(rate_contrast))) / (heading_difference + slope)
+    until_s = np.clip(elementwise.log(growth) / rate, 0.0, seconds)
     # the integral of D up to that time; from then on min(D, 2) is 2
-    more = elementwise.expm1(rate * until)
-    less = more / (1 + more)
-    # sinh(k t) is (more + less)/2, and cosh(k t) - 1 is more less/2
-    grown = (turned * (more + less) + slope * more * less) / (2 * rate)
-    bound = np.minimum(grown, 2 * until) + 2 * (seconds - until)
-    return np.where(turned + slope > 0, bound, 0.0)
+    growth_gain = elementwise.expm1(rate * until_s)
+    growth_loss = growth_gain / (1 + growth_gain)
+    # sinh(k t) is (growth_gain + growth_loss)/2; cosh(k t) - 1 is growth_gain growth_loss/2
+    grown = heading_difference * (growth_gain + growth_loss) + slope * growth_gain * growth_loss
+    integral = grown / (2 * rate)
+    bound = np.minimum(integral, 2 * until_s) + 2 * (seconds - until_s)
+    return np.where(heading_difference + slope > 0, bound, 0.0)
 
 
 def least_total_error(setup: Setup, seconds: float) -> float:
@@ -92,41 +93,41 @@ def least_total_error(setup: Setup, seconds: float) -> float:
     No sequence of common directions leads to a smaller sum of the robots' distances from their
     targets. Obstacles are ignored.
     """
-    alone = reach(setup, seconds)
+    single_errors = reach(setup, seconds)
     pairs, pair_errors = _pair_bounds(setup, seconds)
-    gain = pair_errors - alone[pairs[:, 0]] - alone[pairs[:, 1]]
-    raising = np.flatnonzero((gain > 0) & np.isfinite(gain))
-    raising = raising[np.argsort(-gain[raising], kind="stable")[:PAIRS_MAX]]
-    if not raising.size:
-        return float(alone.sum())
-    return _least_sum(alone, pairs[raising], pair_errors[raising])
+    gain = pair_errors - single_errors[pairs[:, 0]] - single_errors[pairs[:, 1]]
+    raising_pairs = np.flatnonzero((gain > 0) & np.isfinite(gain))
+    raising_pairs = raising_pairs[np.argsort(-gain[raising_pairs], kind="stable")[:PAIRS_MAX]]
+    if not raising_pairs.size:
+        return float(single_errors.sum())
+    return _min_error_sum(single_errors, pairs[raising_pairs], pair_errors[raising_pairs])
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of robots that hardly move, p overflows
 def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Floats]:
     """Compute a lower bound of e_1 + e_2 for each pair of moving robots.
 
-    The result consists of the pairs (P, 2) and the bounds (P,). A bound is not finite if its
-    numbers overflow. With p_i = g_i / v_i,
+    The result consists of the pairs (P, 2) and their bounds (P,). A bound is not finite if a
+    number overflows. With p_i = g_i / v_i,
 
         e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
     If G = 0 and t is long enough, robots come as near as that.
     """
     i, j = np.triu_indices(len(setup.names), 1)
-    moving = (setup.speed[i] > 0) & (setup.speed[j] > 0)
-    i = i[moving]
-    j = j[moving]
+    both_move = (setup.speed[i] > 0) & (setup.speed[j] > 0)
+    i = i[both_move]
+    j = j[both_move]
     headings = setup.starts.heading
-    turned = np.abs(wrap(headings[i] - headings[j]))
-    apart = drift(setup.a[i], setup.a[j], turned, seconds)
+    heading_difference = np.abs(wrap(headings[i] - headings[j]))
+    drift_s = drift(setup.a[i], setup.a[j], heading_difference, seconds)
     speed = np.where(setup.speed > 0, setup.speed, 1)
     p = (setup.targets - setup.starts.xy) / speed[:, None]
-    gaps = elementwise.hypot(*(p[i] - p[j]).T) - apart
+    gaps = elementwise.hypot(*(p[i] - p[j]).T) - drift_s
     return np.column_stack([i, j]), np.minimum(setup.speed[i], setup.speed[j]) * gaps
 
 
-def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
+def _min_error_sum(single_errors: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
     """Compute the minimum of the total error e_1 + ... + e_N by a linear programme.
 
     The constraints are that e_i >= alone_i, and that e_i + e_j is at least the bound `pair_errors`
@@ -136,15 +137,15 @@ def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> 
     from scipy.sparse import coo_array
 
     rows = np.repeat(np.arange(len(pairs)), 2)
-    shape = (len(pairs), len(alone))
+    shape = (len(pairs), len(single_errors))
     sums = coo_array((-np.ones(rows.size), (rows, pairs.ravel())), shape)
     scale = max(pair_errors.max(), 1.0)  # the solver's tolerances are absolute
-    solved = linprog(
-        np.ones(len(alone)),
+    solution = linprog(
+        np.ones(len(single_errors)),
         A_ub=sums.tocsr(),
         b_ub=-pair_errors / scale,
-        bounds=np.column_stack([alone / scale, np.full(len(alone), np.inf)]),
+        bounds=np.column_stack([single_errors / scale, np.full(len(single_errors), np.inf)]),
     )
     # if the solver fails, each single pair still bounds the total
-    fallback = alone.sum() + np.max(pair_errors - alone[pairs].sum(axis=1))
-    return float(solved.fun * scale if solved.success else fallback)
+    fallback = single_errors.sum() + np.max(pair_errors - single_errors[pairs].sum(axis=1))
+    return float(solution.fun * scale if solution.success else fallback)

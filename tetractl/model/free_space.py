@@ -41,8 +41,8 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 
 
 @np.errstate(all="ignore")
-def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
-    """Compute how near each robot can come to its target past obstacles, (N,) [length unit].
+def blocked_target_distances(setup: Setup, margin: float, walls: bool) -> Floats:
+    """Compute how near each robot can come to its target past obstacles [length unit], (N,).
 
     The distance is 0 if there may be a path from start to target. It is also 0 if the start is
     nearer to an obstacle than the margin, because such a start is not in free space.
@@ -57,23 +57,23 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     x = _cell_centres(arena.left, arena.width, cell_size, walls)
     y = _cell_centres(arena.bottom, arena.height, cell_size, walls)
     depth = margin - clearance(setup, x[None, :], y[:, None], walls)
-    free = ~(depth >= (0.5 - CLOSED_GAP) * cell_size)  # a NaN depth blocks nothing
+    is_free = ~(depth >= (0.5 - CLOSED_GAP) * cell_size)  # a NaN depth blocks nothing
     if not walls:  # the outside counts as one free region
-        free[[0, -1], :] = free[:, [0, -1]] = True
+        is_free[[0, -1], :] = is_free[:, [0, -1]] = True
 
-    def around(point: Floats) -> Bools:
+    def cells_around(point: Floats) -> Bools:
         """Return the 3 x 3 cells around a point (2,)."""
         row = np.abs(y - point[1]).argmin()
         column = np.abs(x - point[0]).argmin()
-        cells = np.zeros_like(free)
+        cells = np.zeros_like(is_free)
         cells[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
         return cells
 
     distances_left = np.zeros(len(setup.targets))
     for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
-        reached = connected(around(start), free)
-        if reached.any() and not (reached & around(target)).any():
-            rows, columns = np.nonzero(reached)
+        is_reached = connected(cells_around(start), is_free)
+        if is_reached.any() and not (is_reached & cells_around(target)).any():
+            rows, columns = np.nonzero(is_reached)
             nearest = elementwise.hypot(x[columns] - target[0], y[rows] - target[1]).min()
             distances_left[i] = max(nearest - cell_size / math.sqrt(2), 0.0)
     return distances_left
@@ -122,10 +122,10 @@ def connected(cells: Bools, free: Bools) -> Bools:
         reached = grown_both
 
 
-def _label_runs(free: Bools) -> NDArray[np.int64]:
-    """Return for each cell the index of the run of free cells to which it belongs.
+def _label_runs(is_free: Bools) -> NDArray[np.int64]:
+    """Compute, for each cell, the index of the run of free cells to which it belongs.
 
     A run consists of neighbouring free cells in a row. The values of other cells have no meaning.
     """
-    ends = np.pad(~free, ((0, 0), (0, 1)), constant_values=True)
-    return np.cumsum(ends, dtype=np.int64).reshape(ends.shape)[:, :-1]
+    run_ends = np.pad(~is_free, ((0, 0), (0, 1)), constant_values=True)
+    return np.cumsum(run_ends, dtype=np.int64).reshape(run_ends.shape)[:, :-1]

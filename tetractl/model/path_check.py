@@ -85,9 +85,9 @@ class PathCheck:
             self._find_nearest_candidates(x, y) if x.shape[1] > COMPARE_ALL_MAX else every_sample
         )
         robot, sample = may_be_nearest.nonzero()
-        gaps = self.obstacles.distance(x[robot, sample], y[robot, sample])
-        np.fmin.at(self.clearance, robot, gaps)
-        self.entered[robot[gaps <= 0]] = True
+        distances = self.obstacles.distance(x[robot, sample], y[robot, sample])
+        np.fmin.at(self.clearance, robot, distances)
+        self.entered[robot[distances <= 0]] = True
         robot, sample = may_be_nearest[:, :-1].nonzero()
         crosses = self.obstacles.meets_segments(
             x[robot, sample], y[robot, sample], x[robot, sample + 1], y[robot, sample + 1]
@@ -99,18 +99,18 @@ class PathCheck:
 
         The last sample before a step that touches an obstacle also counts.
 
-        `at_least` is a lower bound of each sample's distance that takes little time to compute. A
-        sample is left out if its bound exceeds two values: the smallest distance found so far,
+        `distance_min` is a lower bound of each sample's distance that takes little time to compute.
+        A sample is left out if its bound exceeds two values: the smallest distance found so far,
         because the sample then is not the nearest one; and the longest step, because the path from
         the sample to the next one then touches no obstacle. Samples with NaN are left out.
         """
-        at_least = self.obstacles.distance_lower_bound(x, y)
+        distance_min = self.obstacles.distance_lower_bound(x, y)
         robots = np.arange(len(x))
-        nearest = np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
+        nearest = np.where(np.isnan(distance_min), np.inf, distance_min).argmin(1)
         distance = self.obstacles.distance(x[robots, nearest], y[robots, nearest])
         clearance = np.fmin(self.clearance, distance)  # an upper bound for the whole path
         step_max = _longest_step(x) + _longest_step(y)
-        return at_least <= (np.fmax(clearance, step_max) + self._slack)[:, None]
+        return distance_min <= (np.fmax(clearance, step_max) + self._slack)[:, None]
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
         """Return the verdict on the path so far.

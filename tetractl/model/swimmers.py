@@ -229,9 +229,9 @@ class Swimmers:
         cells = self.copy()
         cells.length[cell] *= DIVIDED_LENGTH
         daughter.length *= DIVIDED_LENGTH
-        share = random.uniform(*DIVIDED_MAGNET)
-        cells.a[cell] *= 2 * share
-        daughter.a *= 2 * (1 - share)
+        magnet_fraction = random.uniform(*DIVIDED_MAGNET)
+        cells.a[cell] *= 2 * magnet_fraction
+        daughter.a *= 2 * (1 - magnet_fraction)
         turn_rad = random.uniform(*DIVIDED_TURN_RAD)
         cells.heading[cell] += turn_rad
         daughter.heading -= turn_rad

@@ -90,10 +90,10 @@ class Drivetrains:
         still.
         """
         by_wheel = self._by_wheel(counts)
-        beyond = np.maximum(np.abs(by_wheel) - self.dead_zone, 0)
-        return self.gain * (np.sign(by_wheel) * beyond)
+        excess = np.maximum(np.abs(by_wheel) - self.dead_zone, 0)
+        return self.gain * (np.sign(by_wheel) * excess)
 
-    def counts(self, speeds: Floats, owed: Floats) -> tuple[CountArray, Floats]:
+    def counts(self, speeds: Floats, rounding_errors: Floats) -> tuple[CountArray, Floats]:
         """Convert wheel speeds to the counts to send, and the rounding errors to carry over.
 
         If a wheel would exceed the limit, both speeds are scaled equally, which keeps the path's
@@ -102,7 +102,7 @@ class Drivetrains:
 
         Args:
             speeds: Wheel speeds [length unit/s], shape (2, N).
-            owed: Rounding errors of the previous call [counts], shape (2, N).
+            rounding_errors: Rounding errors of the previous call [counts], shape (2, N).
 
         Returns:
             The counts, and the new rounding errors, each within 0.5.
@@ -112,10 +112,10 @@ class Drivetrains:
         """
         if not np.isfinite(speeds).all():
             raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
-        owed = owed.copy()
-        steps = count(speeds, owed, self.gain, self.dead_zone, self.limit)
+        rounding_errors = rounding_errors.copy()
+        steps = count(speeds, rounding_errors, self.gain, self.dead_zone, self.limit)
         by_wheel = (steps + np.sign(steps) * self.dead_zone).astype(np.int64)
-        return self._by_wheel(by_wheel), owed
+        return self._by_wheel(by_wheel), rounding_errors
 
     def _by_wheel(self, counts: CountArray) -> CountArray:
         """Reorder counts from motor channels to wheels, or from wheels to motor channels."""
@@ -139,7 +139,7 @@ class WheelHost:
         self.drivetrains = drivetrains
         self._known = KnownRobots(a, speed, radius, lag_s)
         self._sent = SentRates.none(a.size)
-        self._owed = np.zeros((2, a.size))
+        self._rounding_errors = np.zeros((2, a.size))
 
     def wished(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
@@ -165,7 +165,7 @@ class WheelHost:
 
         The rounding errors are kept, and are corrected by the next call.
         """
-        counts, self._owed = self.drivetrains.counts(wished, self._owed)
+        counts, self._rounding_errors = self.drivetrains.counts(wished, self._rounding_errors)
         return counts
 
     def sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:

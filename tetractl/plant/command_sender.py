@@ -56,10 +56,7 @@ class CommandSender:
 
     @property
     def repeats_ns(self) -> int:
-        """The time at which the host transmits the held action again [ns].
-
-        NEVER if it does not.
-        """
+        """The time at which the host repeats the held action [ns]. NEVER if it does not."""
         return NEVER if self._host is None else self._host.repeats_ns
 
     def send(
@@ -70,7 +67,7 @@ class CommandSender:
         Args:
             now_ns: The time of sending [ns].
             answered: The frame that the command answers.
-            action: The action, which is held from now on. None to repeat the held one.
+            action: The action to hold, starting now. None to repeat the held action.
 
         Returns:
             The command as the host logs it, with the robots that receive it in `delivered`.
@@ -101,9 +98,9 @@ class CommandSender:
         robots = len(self._setup.names)
         if self._host is not None:
             self._host.halt(now_ns)
-        heard = np.zeros(robots, dtype=np.bool_)
+        is_received = np.zeros(robots, dtype=np.bool_)
         for k in range(STOPS_MAX if self._repeats_stops else 1):
-            if k >= STOPS and heard.all():
+            if k >= STOPS and is_received.all():
                 break
             sent_ns = now_ns + k * STOP_GAP_NS
             stop = DelayedCommand(
@@ -113,10 +110,10 @@ class CommandSender:
                 reached=np.ones(robots, dtype=np.bool_),
                 wheels=np.zeros((2, robots)),
             )
-            heard |= self._transit.send(stop, now_ns).reached
-        still = np.zeros(robots) if self._setup.on_wheels else None
-        received = tuple(heard.tolist())
-        return Command(Stop(), now_ns, received, still, still)
+            is_received |= self._transit.send(stop, now_ns).reached
+        standstill = np.zeros(robots) if self._setup.on_wheels else None
+        received = tuple(is_received.tolist())
+        return Command(Stop(), now_ns, received, standstill, standstill)
 
     def _due_ns(self, sent_ns: int, answered: Observation) -> int:
         """Compute when a command takes effect if `dead_time` is the only delay [ns].

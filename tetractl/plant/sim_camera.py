@@ -34,7 +34,8 @@ class SimCamera:
     ) -> None:
         self.newest: Observation | None = None
         """The newest frame that the host has received. None before the first."""
-        self._coming: deque[Sample] = deque()  # on their way to the host, in the order of arrival
+        # frames on their way to the host, in the order of arrival
+        self._in_transit: deque[Sample] = deque()
         self._unread: list[Sample] = []  # received, oldest first
         self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
         self._random = random
@@ -67,22 +68,19 @@ class SimCamera:
                 poses, tracked = self._measured(poses, exposed_ns[k])
             if arrival_ns < NEVER:
                 frame = Observation(self._exposed, exposed_ns[k], arrival_ns, poses, tracked)
-                self._coming.append(Sample(frame, true_poses))
+                self._in_transit.append(Sample(frame, true_poses))
                 self._last_shown = poses
             self._exposed += 1
 
     @property
     def arriving_ns(self) -> int | None:
-        """The time at which the next frame reaches the host [ns].
-
-        None if none is on its way.
-        """
-        return self._coming[0].observation.received_ns if self._coming else None
+        """The time at which the next frame reaches the host [ns]. None if there is none."""
+        return self._in_transit[0].observation.received_ns if self._in_transit else None
 
     def receive(self, until_ns: int) -> None:
         """Pass to the host every frame that arrives up to and including `until_ns`."""
-        while self._coming and self._coming[0].observation.received_ns <= until_ns:
-            sample = self._coming.popleft()
+        while self._in_transit and self._in_transit[0].observation.received_ns <= until_ns:
+            sample = self._in_transit.popleft()
             self.newest = sample.observation
             self._unread.append(sample)
 
@@ -105,8 +103,8 @@ class SimCamera:
             if delayed_ns is None:
                 return NEVER
             if not delayed_ns >= exposed_ns:  # NaN, too
-                what = f"the arrival of a frame before its exposure: {delayed_ns} ns"
-                raise WrongValueError("a disturbance", what)
+                value_text = f"the arrival of a frame before its exposure: {delayed_ns} ns"
+                raise WrongValueError("a disturbance", value_text)
             arrival_ns = delayed_ns
         self._last_arrival_ns = max(self._last_arrival_ns, arrival_ns)
         return self._last_arrival_ns

@@ -125,7 +125,7 @@ class SimPlant:
     def __init__(
         self, settings: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
     ) -> None:
-        count = len(setup.names)
+        n_robots = len(setup.names)
         disturbances = [
             disturbance.build(setup, generator(seed, RandomStream.DISTURBANCES + k))
             for k, disturbance in enumerate(settings.disturbances)
@@ -144,13 +144,13 @@ class SimPlant:
         self.drive = drive
         """The part that moves the robots."""
         self.camera = SimCamera(
-            count, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
+            n_robots, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
         )
         """The simulated camera that measures the robots' poses."""
         walk_rad = 0.0  # drives that sum up their path walk at each of its samples instead
         if not drive.sampled:
             walk_rad = float(settings.heading_noise / np.sqrt(settings.camera_rate))
-        transit = Transit(count, disturbances)
+        transit = Transit(n_robots, disturbances)
         self._sender = CommandSender(
             settings,
             setup,
@@ -164,7 +164,7 @@ class SimPlant:
             camera=self.camera,
             timetable=Timetable(settings.camera_rate, settings.truth_rate),
             transit=transit,
-            watchdogs=Watchdogs(count, setup.watchdog_s),
+            watchdogs=Watchdogs(n_robots, setup.watchdog_s),
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
             walk_rad=walk_rad,
             walking=generator(seed, RandomStream.HEADINGS),
@@ -229,9 +229,9 @@ class SimPlant:
 
     def events(self) -> list[Command | Note]:
         """Return the commands that repeated a held direction since the last call, oldest first."""
-        news = self._motion.repeated
+        repeated = self._motion.repeated
         self._motion.repeated = []
-        return news
+        return repeated
 
     def stop(self) -> Command:
         """Send a stop to all robots. Later calls only return the command of the first call."""
@@ -246,11 +246,11 @@ class SimPlant:
             AbortError: If no frame arrives within NO_FRAME_S.
         """
         stopped_ns = max(self._motion.transit.settled_ns, self.clock.now())
-        stand_ns = stopped_ns + round(self.drive.rest_s * SECOND)
+        standstill_ns = stopped_ns + round(self.drive.rest_s * SECOND)
         two_frames_ns = round(2 * SECOND / self.settings.camera_rate)
-        self.clock.sleep_until(stand_ns + two_frames_ns)
+        self.clock.sleep_until(standstill_ns + two_frames_ns)
         self._catch_up()
-        self._await_frame(stand_ns)
+        self._await_frame(standstill_ns)
         return self._motion.verdict()
 
     def close(self) -> None:
@@ -261,6 +261,7 @@ class SimPlant:
         self._motion.advance(self.clock.now())
 
     def _newest_frame(self) -> Observation:
+        """Return the newest frame that the host has received. There must be one."""
         newest = self.camera.newest
         assert newest is not None, "there is no frame: call open() first"
         return newest
@@ -289,7 +290,7 @@ class SimPlant:
             disturbance.planning_s(now_ns / SECOND) for disturbance in self.disturbances
         )
         if not 0 <= planning_s < NEVER / SECOND:  # NaN, too
-            what = f"a planning time of {planning_s} s"
-            raise WrongValueError("a disturbance", what)
+            value_text = f"a planning time of {planning_s} s"
+            raise WrongValueError("a disturbance", value_text)
         self.clock.sleep_until(now_ns + round(planning_s * SECOND))
         self._catch_up()

@@ -27,9 +27,9 @@ class DueTimes:
     samples: Bools
     """Whether the true path is sampled at each time, shape (M,)."""
 
-    def part(self, begin: int, end: int) -> "DueTimes":
-        """Return a copy of the rows from `begin` up to, but not including, `end`."""
-        rows = slice(begin, end)
+    def select_rows(self, first_row: int, end_row: int) -> "DueTimes":
+        """Return a copy of the times from row `first_row` up to, but not including, `end_row`."""
+        rows = slice(first_row, end_row)
         return DueTimes(
             self.times_ns[rows].copy(), self.frames[rows].copy(), self.samples[rows].copy()
         )
@@ -52,41 +52,42 @@ class Timetable:
         """The first time that `take` has not returned yet [ns]."""
         self.next_frame_ns = 0
         """The first time of a frame that `take` has not returned yet [ns]."""
-        self._lay_out(TIMES_BLOCK_NS)
+        self._compute_block(TIMES_BLOCK_NS)
 
     def take(self, until_ns: int, with_end: bool) -> DueTimes:
         """Take the times up to and including `until_ns`.
 
-        If `with_end`, `until_ns` is always the last of them, even if neither a frame nor a sample
-        is due then.
+        If `with_end` is True, the last time is always `until_ns`, even if neither a frame nor a
+        sample is due then.
         """
         if until_ns + SPARE_NS >= self._end_ns:
-            self._lay_out(until_ns + TIMES_BLOCK_NS)
-        begin = self._taken
-        end = bisect_right(self._times, until_ns, begin)
-        self._taken = end
-        self.next_ns = self._times[end]
-        self.next_frame_ns = self._next_frames_ns[end]
-        ends_there = end > begin and self._times[end - 1] == until_ns
-        if ends_there or not with_end:
-            return self._block.part(begin, end)
-        due = self._block.part(begin, end + 1)  # a row more is there, and quicker than one appended
+            self._compute_block(until_ns + TIMES_BLOCK_NS)
+        first_row = self._taken
+        end_row = bisect_right(self._times, until_ns, first_row)
+        self._taken = end_row
+        self.next_ns = self._times[end_row]
+        self.next_frame_ns = self._next_frames_ns[end_row]
+        is_end_due = end_row > first_row and self._times[end_row - 1] == until_ns
+        if is_end_due or not with_end:
+            return self._block.select_rows(first_row, end_row)
+        # the block has spare rows: copying one more is faster than appending one
+        due = self._block.select_rows(first_row, end_row + 1)
         due.times_ns[-1] = until_ns
         due.frames[-1] = False
         due.samples[-1] = False
         return due
 
-    def _lay_out(self, end_ns: int) -> None:
+    def _compute_block(self, end_ns: int) -> None:
         """Compute the times from the next one to `end_ns`, and some spare time after it."""
         frames_ns = _multiples(self._camera_hz, self.next_ns, end_ns + SPARE_NS)
         samples_ns = _multiples(self._truth_hz, self.next_ns, end_ns + SPARE_NS)
         # np.unique does the same 70 times slower: it hashes what is nearly sorted
         merged_ns = np.sort(np.concatenate([frames_ns, samples_ns]), kind="stable")
         times_ns = merged_ns[np.append(True, merged_ns[1:] > merged_ns[:-1])]
-        following = np.searchsorted(frames_ns, times_ns)
-        next_frames_ns = np.append(frames_ns, NEVER)[following]
-        following = np.searchsorted(samples_ns, times_ns)
-        next_samples_ns = np.append(samples_ns, NEVER)[following]
+        next_rows = np.searchsorted(frames_ns, times_ns)
+        next_frames_ns = np.append(frames_ns, NEVER)[next_rows]
+        next_rows = np.searchsorted(samples_ns, times_ns)
+        next_samples_ns = np.append(samples_ns, NEVER)[next_rows]
         self._end_ns = end_ns
         self._taken = 0  # number of times of the block that were taken
         self._block = DueTimes(
@@ -99,7 +100,8 @@ class Timetable:
 
 def _multiples(rate_hz: float, since_ns: int, until_ns: int) -> Times:
     """Return the times k / rate with integer k, rounded to ns, in [since_ns, until_ns]."""
-    first = int(since_ns * rate_hz / SECOND) - 1
-    last = int(until_ns * rate_hz / SECOND) + 2
-    times_ns = np.rint(np.arange(first, last + 1) * SECOND / rate_hz).astype(np.int64)
+    first_multiple = int(since_ns * rate_hz / SECOND) - 1
+    last_multiple = int(until_ns * rate_hz / SECOND) + 2
+    multiples = np.arange(first_multiple, last_multiple + 1)
+    times_ns = np.rint(multiples * SECOND / rate_hz).astype(np.int64)
     return times_ns[(times_ns >= since_ns) & (times_ns <= until_ns)]

@@ -58,13 +58,13 @@ class Transit:
         robots = len(self._last_ns)
         late_ns = [0] * robots if command.late_ns is None else command.late_ns.tolist()
         self._last_ns = [
-            max(command.due_ns + late, last, now_ns)
-            for late, last in zip(late_ns, self._last_ns, strict=True)
+            max(command.due_ns + robot_late_ns, robot_last_ns, now_ns)
+            for robot_late_ns, robot_last_ns in zip(late_ns, self._last_ns, strict=True)
         ]
         for due_ns in sorted(set(self._last_ns)):
             due_now = np.array(self._last_ns) == due_ns
-            part = replace(command, due_ns=due_ns, reached=command.reached & due_now)
-            insort(self._in_flight, part, key=lambda queued: queued.due_ns)
+            partial_command = replace(command, due_ns=due_ns, reached=command.reached & due_now)
+            insort(self._in_flight, partial_command, key=lambda queued: queued.due_ns)
 
 
 class Watchdogs:
@@ -80,10 +80,10 @@ class Watchdogs:
         self.next_ns = NEVER
         """The time when the next watchdog expires [ns]. NEVER if none is active."""
 
-    def hear(self, command: DelayedCommand) -> None:
-        """Restart the watchdogs of the robots on which this command acts now.
+    def restart(self, command: DelayedCommand) -> None:
+        """Restart the watchdogs of the robots on which a command acts now.
 
-        A stop makes them inactive.
+        A stop makes the watchdogs inactive.
         """
         if self._timeout_s == math.inf:
             return
@@ -99,5 +99,5 @@ class Watchdogs:
     def stop(self, now_ns: int) -> DelayedCommand:
         """Return the stop of all robots whose timer expires at this time."""
         expired = np.array(self._expire_ns) == now_ns
-        still = np.zeros((2, expired.size))
-        return DelayedCommand(now_ns, now_ns, Stop(), expired, wheels=still)
+        standstill = np.zeros((2, expired.size))
+        return DelayedCommand(now_ns, now_ns, Stop(), expired, wheels=standstill)

@@ -380,7 +380,7 @@ class TrueMotion:
         """Give the robots their command, or let the host transmit again."""
         if step.command is not None:
             self.drive.apply(step.command)
-            self._watchdogs.hear(step.command)
+            self._watchdogs.restart(step.command)
         elif step.repeats:
             newest = self.camera.newest
             assert newest is not None, "a command is sent in answer to a frame"

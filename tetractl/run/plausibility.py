@@ -19,7 +19,7 @@ from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
-from tetractl.model.free_space import clearance, shut_out
+from tetractl.model.free_space import blocked_target_distances, clearance
 from tetractl.spec.base import ANGLE
 from tetractl.spec.consistency import Findings, SpecFinding, find_nearest
 from tetractl.spec.experiment import Experiment
@@ -391,9 +391,9 @@ def walled_off_targets(context: CheckContext) -> Findings:
     if not context.experiment.obstacles:
         return
     setup = context.setup
-    blocked_distances = shut_out(setup, 0.0, context.avoids_walls)
+    blocked_distances = blocked_target_distances(setup, 0.0, context.avoids_walls)
     blocked_distances_with_margin = (
-        shut_out(setup, context.margin, context.avoids_walls)
+        blocked_target_distances(setup, context.margin, context.avoids_walls)
         if context.margin > 0
         else blocked_distances
     )

@@ -202,7 +202,7 @@ def test_robots_that_do_not_stand_after_a_stop_are_named(metres):
     ]
 
 
-def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
+def test_a_stop_that_was_lost_is_repetition_until_the_robots_stand():
     """The trial does not count: where a robot moves after a stop, its pose may be another's."""
     lab = stopped()
     lab.world.moving = (True, False, False)

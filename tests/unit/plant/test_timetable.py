@@ -83,7 +83,7 @@ def test_a_trial_of_many_minutes_keeps_its_times():
 def test_a_part_is_a_copy_of_its_rows():
     flags = np.array([True, False, True])
     due = DueTimes(np.array([1, 2, 3]), flags, ~flags)
-    part = due.part(1, 3)
+    part = due.select_rows(1, 3)
     part.times_ns[0] = 7
     assert due.times_ns.tolist() == [1, 2, 3]
     assert part.times_ns.tolist() == [7, 3]

@@ -91,30 +91,30 @@ def test_disturbances_change_a_command_one_after_another_and_the_sender_gets_the
 def test_a_watchdog_expires_after_its_timeout_for_those_that_received_the_command():
     watchdogs = Watchdogs(3, 0.25)
     assert watchdogs.next_ns == NEVER
-    watchdogs.hear(command(0, SECOND, (True, False, True)))
+    watchdogs.restart(command(0, SECOND, (True, False, True)))
     assert watchdogs.next_ns == 1.25 * SECOND
-    watchdogs.hear(command(0, 2 * SECOND, (True, True, False)))
+    watchdogs.restart(command(0, 2 * SECOND, (True, True, False)))
     assert watchdogs.next_ns == 1.25 * SECOND, "the third robot has not received the second one"
     stop = watchdogs.stop(watchdogs.next_ns)
     assert stop.reached.tolist() == [False, False, True]
     assert stop.sent_ns == stop.due_ns == 1.25 * SECOND
     assert isinstance(stop.action, Stop)
     assert stop.wheels.tolist() == [[0, 0, 0], [0, 0, 0]]
-    watchdogs.hear(stop)
+    watchdogs.restart(stop)
     assert watchdogs.next_ns == 2.25 * SECOND
     assert watchdogs.stop(watchdogs.next_ns).reached.tolist() == [True, True, False]
 
 
 def test_a_stopped_robot_has_no_watchdog_until_its_next_command():
     watchdogs = Watchdogs(1, 0.5)
-    watchdogs.hear(command(0, 0, (True,)))
-    watchdogs.hear(command(1, 100, (True,), action=Stop()))
+    watchdogs.restart(command(0, 0, (True,)))
+    watchdogs.restart(command(1, 100, (True,), action=Stop()))
     assert watchdogs.next_ns == NEVER
-    watchdogs.hear(command(1, 200, (True,)))
+    watchdogs.restart(command(1, 200, (True,)))
     assert watchdogs.next_ns == SECOND // 2 + 200
 
 
 def test_robots_without_watchdogs_never_stop_by_themselves():
     watchdogs = Watchdogs(2, math.inf)
-    watchdogs.hear(command(0, 5, (True, True)))
+    watchdogs.restart(command(0, 5, (True, True)))
     assert watchdogs.next_ns == NEVER

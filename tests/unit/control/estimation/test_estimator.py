@@ -69,8 +69,8 @@ def after(direction, sent_s, sparse=True):
     ],
 )
 def test_over_a_sparse_radio_a_signal_counts_once_within_its_period(action, sent_s, again):
-    assert after(0.5, 1.0)._is_sent_again(command(action, sent_s)) == again
-    assert not after(0.5, 1.0, sparse=False)._is_sent_again(command(action, sent_s))
+    assert after(0.5, 1.0)._is_repetition(command(action, sent_s)) == again
+    assert not after(0.5, 1.0, sparse=False)._is_repetition(command(action, sent_s))
 
 
 @pytest.mark.parametrize(

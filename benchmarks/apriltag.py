@@ -30,7 +30,7 @@ from tetractl_microscope.apriltag.camera import Tracker
 from tetractl_microscope.apriltag.detect import MODULES, refine_corners
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 
-from tetractl.core.poses import Grey, Poses
+from tetractl.core.poses import GreyImage, Poses
 
 ROBOTS = tuple(
     RobotTag(name=name, tag=tag, size_mm=80, height_mm=90) for tag, name in enumerate(NAMES)
@@ -51,7 +51,7 @@ def make_renderer(size_px: tuple[int, int], tilt: float = 0.35, **optics: object
     return Renderer(ROBOTS, FLOOR, MM, replace(optics_of_camera, **optics), seed=1)
 
 
-def compressed(picture: Grey) -> Grey:
+def compressed(picture: GreyImage) -> GreyImage:
     """Return an image after JPEG compression."""
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE).astype(np.uint8)

@@ -22,7 +22,7 @@ from tetractl_emulator.rehearsal.day import run_day
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = Path(__file__).parents[1] / "experiments" / "three_m3pi_lab.yaml"
 SHORT = "controller.time_limit=3"
@@ -87,7 +87,7 @@ def row(what: str, faults: Sequence[Mapping[str, Any]], seed: int) -> tuple[str,
     """
     sets = (SHORT, "controller.deadline=60")
     drawn = [{"kind": fault["fault"], "right": ".", **fault} for fault in faults]
-    experiment = on_plant(load_spec(SPEC, sets), "emulated").experiment
+    experiment = select_plant(load_spec(SPEC, sets), "emulated").experiment
     with tempfile.TemporaryDirectory() as scratch:
         day = run_day(SPEC, sets, DayPlan(seed, {}, drawn), Path(scratch))
         truth, broken = observe_day(day, experiment, experiment.plant)  # type: ignore[arg-type]

@@ -27,10 +27,10 @@ from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.route_measure import RouteMeasure
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Verdict
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, Result, Verdict
 from tetractl.log.write.writer import LogWriter
 from tetractl.spec.load import parse_spec
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
 
 ROBOTS = (1, 2, 3, 4, 5)
 RADIUS_M = 0.129
@@ -164,7 +164,7 @@ def convert(folder: Path, folder_of_logs: Path, longest_s: float = math.inf) -> 
     stop = Command(Stop(), commands[-1].sent_ns + 1, (True,) * len(ROBOTS))
     last = Poses.from_array(np.array([p[0, 1:] for p in poses]))
     with LogWriter(path) as log:
-        log.on_start(start_of(spec, 0, PlantInfo("lab", False, 60.0, {}), EPOCH_NS))
+        log.on_start(create_start(spec, 0, PlantInfo("lab", False, 60.0, {}), SIMULATED_START_NS))
         pending = iter(commands)
         command = next(pending, None)
         for frame, (t_s, row) in enumerate(zip(times_s.tolist(), frames, strict=True)):

@@ -12,7 +12,7 @@ from typing import Any
 from installed_packages import require_all_packages
 
 from tetractl.spec.experiment import Experiment
-from tetractl.spec.schema import alternatives, dereferenced, schema_of, tag
+from tetractl.spec.schema import get_type_name, list_alternatives, resolve_reference, schema_of
 
 SPEC = schema_of(Experiment)
 PAGE = Path(__file__).parent / "reference" / "spec.md"
@@ -40,9 +40,9 @@ def page(current: str) -> str:
 
 
 def _sections(path: str, node: dict[str, Any]) -> Iterator[str]:
-    node = dereferenced(node, SPEC)
+    node = resolve_reference(node, SPEC)
     yield "\n".join(_section(path, node))
-    for option in alternatives(node, SPEC) or [node]:
+    for option in list_alternatives(node, SPEC) or [node]:
         for name, field in option.get("properties", {}).items():
             for kind in _kinds(field):
                 if (inner := _mapping_in(kind)) is not None:
@@ -51,12 +51,12 @@ def _sections(path: str, node: dict[str, Any]) -> Iterator[str]:
 
 def _section(path: str, node: dict[str, Any]) -> Iterator[str]:
     yield f"### {path or 'The whole spec'}\n"
-    options = [option for option in alternatives(node, SPEC) if "properties" in option]
+    options = [option for option in list_alternatives(node, SPEC) if "properties" in option]
     if len(options) > 1:
         if node.get("description"):
             yield f"{node['description']}\n"
         for option in options:
-            yield f"**`type: {tag(option)}`** — {option['description']}\n"
+            yield f"**`type: {get_type_name(option)}`** — {option['description']}\n"
             yield from _table(path, option)
     else:
         option = options[0] if options else node
@@ -69,7 +69,7 @@ def _table(path: str, node: dict[str, Any]) -> Iterator[str]:
     required = node.get("required", [])
     for name, field in node["properties"].items():
         default = "required" if name in required else _default(field)
-        meaning = dereferenced(field, SPEC).get("description", "")
+        meaning = resolve_reference(field, SPEC).get("description", "")
         if name == "type" and "const" in field:
             meaning = meaning or "Chooses this kind."
         yield f"| `{name}` | {_value(path, name, field)} | {default} | {meaning} |"
@@ -78,26 +78,26 @@ def _table(path: str, node: dict[str, Any]) -> Iterator[str]:
 
 def _join(path: str, name: str, field: dict[str, Any]) -> str:
     step = f"{path}.{name}" if path else name
-    return f"{step}.N" if "items" in dereferenced(field, SPEC) else step
+    return f"{step}.N" if "items" in resolve_reference(field, SPEC) else step
 
 
 def _kinds(field: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the alternatives of a field that is a mapping or something else, else the field."""
-    options = alternatives(field, SPEC)
+    options = list_alternatives(field, SPEC)
     return options if len({"properties" in option for option in options}) > 1 else [field]
 
 
 def _mapping_in(field: dict[str, Any]) -> dict[str, Any] | None:
     """Return the schema of a field that is a mapping, a union of some, or a list of either."""
-    field = dereferenced(field, SPEC)
+    field = resolve_reference(field, SPEC)
     if isinstance(field.get("items"), dict):
         return _mapping_in(field["items"])
-    inside = [option for option in alternatives(field, SPEC) if "properties" in option]
+    inside = [option for option in list_alternatives(field, SPEC) if "properties" in option]
     return field if inside or "properties" in field else None
 
 
 def _value(path: str, name: str, field: dict[str, Any]) -> str:
-    field = dereferenced(field, SPEC)
+    field = resolve_reference(field, SPEC)
     if len(kinds := _kinds(field)) > 1:
         return " or ".join(_value(path, name, kind) for kind in kinds)
     if _mapping_in(field) is not None:
@@ -106,7 +106,7 @@ def _value(path: str, name: str, field: dict[str, Any]) -> str:
         if "items" not in field:
             return f"mapping, {link}"
         return f"list of {field.get('minItems', 0)} to {field['maxItems']}, each {link}"
-    if options := alternatives(field, SPEC):
+    if options := list_alternatives(field, SPEC):
         return " or ".join(_scalar(option) for option in options)
     return _scalar(field)
 
@@ -117,9 +117,10 @@ def _scalar(field: dict[str, Any]) -> str:
     if "enum" in field:
         return ", ".join(f"`{option}`" for option in field["enum"])
     if "prefixItems" in field:
-        return f"[{', '.join(_scalar(dereferenced(item, SPEC)) for item in field['prefixItems'])}]"
+        entries = [_scalar(resolve_reference(item, SPEC)) for item in field["prefixItems"]]
+        return f"[{', '.join(entries)}]"
     if "items" in field:
-        return f"list, each {_scalar(dereferenced(field['items'], SPEC))}"
+        return f"list, each {_scalar(resolve_reference(field['items'], SPEC))}"
     limits = [f"{sign} {_number(field[key])}" for key, sign in LIMITS.items() if key in field]
     return " ".join([WORDS[field["type"]], ", ".join(limits)]).strip()
 

@@ -15,7 +15,7 @@ from tetractl_papers.registries import PAPERS
 from tetractl_papers.trials import run_arms
 
 from tetractl import run_batch
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl.tools.table.terminal_table import format_markdown
 
 PAGE = Path(__file__).parents[1] / "packages/tetractl-papers/README.md"
@@ -29,7 +29,7 @@ def tables(folder: Path) -> str:
     printed = []
     for name in PAPERS.names():
         paper = PAPERS.load(name)
-        results = run_arms(paper, folder / name, examples(), None, complete, print)
+        results = run_arms(paper, folder / name, find_examples(), None, complete, print)
         rows = [assess(claim, results) for claim in paper.claims]
         printed.append(table(name, paper.source, rows))
     return format_markdown(printed).strip()

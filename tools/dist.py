@@ -14,8 +14,8 @@ from pathlib import Path
 
 from llvmlite import binding
 
-from tetractl.tools.cache import FOLDER, compiler_settings
-from tetractl.tools.kernels.kernel_cache import LEVEL
+from tetractl.tools.cache import FOLDER_VARIABLE, compiler_settings
+from tetractl.tools.kernels.kernel_cache import SHIPPED_LEVEL
 
 ROOT = Path(__file__).parents[1]
 SPECS = (
@@ -46,7 +46,7 @@ def main(folder: Path) -> None:
         with tempfile.TemporaryDirectory() as scratch:
             wheel(folder, ROOT, TETRACTL_KERNELS=str(kernels(Path(scratch))))
     else:
-        print(f"no wheel with compiled code: this is no processor of level {LEVEL}")
+        print(f"no wheel with compiled code: this is no processor of level {SHIPPED_LEVEL}")
     for one in sorted(folder.iterdir()):
         print(f"{one.stat().st_size / 1e6:5.1f} MB  {folder / one.name}")
 
@@ -68,7 +68,11 @@ def kernels(scratch: Path) -> Path:
     """Compile what trials need in an empty cache; return the folder of the files."""
     if compiler_settings() != "none":
         sys.exit(f"error: code in a wheel is compiled without {compiler_settings()}")
-    chosen = {FOLDER: str(scratch / "cache"), "NUMBA_CPU_NAME": LEVEL, "NUMBA_CPU_FEATURES": ""}
+    chosen = {
+        FOLDER_VARIABLE: str(scratch / "cache"),
+        "NUMBA_CPU_NAME": SHIPPED_LEVEL,
+        "NUMBA_CPU_FEATURES": "",
+    }
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | chosen
     found = scratch / "kernels"
     found.mkdir()

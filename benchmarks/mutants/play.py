@@ -30,9 +30,9 @@ def play(folder, args):
 
     from tetractl.control.methods.build import warm_up
     from tetractl.spec.load import load_spec
-    from tetractl.spec.plants import on_plant
+    from tetractl.spec.plants import select_plant
 
-    warm_up(on_plant(load_spec(SPEC, args.set), "emulated").experiment, print)
+    warm_up(select_plant(load_spec(SPEC, args.set), "emulated").experiment, print)
     for day in args.days:
         result_file = folder / f"{day}.json"
         if not result_file.exists():

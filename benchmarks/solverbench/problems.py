@@ -6,14 +6,14 @@ from pathlib import Path
 from tetractl.core.clock import VirtualClock
 from tetractl.core.plan import Problem
 from tetractl.core.protocols import LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, Result
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import EstimateMonitor, Trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import load_spec
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 PAPER = "three_m3pi_paper.yaml"
@@ -47,7 +47,7 @@ def played(
     clock = VirtualClock()
     plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
     not_open = PlantInfo("", True, 0.0, {})
-    start = start_of(LoadedSpec(spec, "", ""), trial, not_open, EPOCH_NS)
+    start = create_start(LoadedSpec(spec, "", ""), trial, not_open, SIMULATED_START_NS)
     controller = build_controller(spec, key)
     return Trial(start, plant, controller, clock, observers, Interrupt(), model).run(), plant
 

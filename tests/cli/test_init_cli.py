@@ -9,7 +9,7 @@ import pytest
 from testkit import cli
 from testkit.paths import ROOT
 
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl.spec.load import load_spec
 from tetractl.study.load_study import load_study
 
@@ -104,7 +104,9 @@ def test_every_file_that_a_help_or_a_hint_names_is_an_example():
     named = re.compile(r"experiments/([\w/]+)\.yaml|--example (\w+)`")
     sources = "".join(path.read_text() for path in (ROOT / "tetractl").rglob("*.py"))
     names = {in_path or in_option for in_path, in_option in named.findall(sources)}
-    assert {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= names <= {*examples(), "NAME"}
+    assert (
+        {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= names <= {*find_examples(), "NAME"}
+    )
 
 
 def test_a_file_for_which_the_disk_has_no_room_is_not_left(tetractl, tmp_path):

@@ -12,10 +12,10 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.plan import Outcome, Plan, Search
 from tetractl.core.poses import Observation, Poses, Sample
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Verdict
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, Verdict
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
 
 STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
 FINAL = np.array([[1700.0, 510, 0], [1703, 1504, 0], [1700, 2000, 0]])  # misses by 10, 5, 0 mm
@@ -179,6 +179,6 @@ def bench(
     controller = FakeController(happenings, steps, outcome)
     watchers = [FakeObserver(happenings, name) for name in observers]
     nothing_yet = PlantInfo("", simulated, 0.0, {})
-    start = start_of(LoadedSpec(spec, "", "spec.yaml"), 4, nothing_yet, EPOCH_NS)
+    start = create_start(LoadedSpec(spec, "", "spec.yaml"), 4, nothing_yet, SIMULATED_START_NS)
     trial = Trial(start, plant, controller, clock, watchers, interrupt)
     return Bench(trial, happenings, plant, controller, watchers, interrupt)

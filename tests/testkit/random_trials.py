@@ -9,18 +9,18 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop
-from tetractl.core.loggable import drawn
+from tetractl.core.loggable import round_for_drawing
 from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start, Step, Verdict
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, Result, Start, Step, Verdict
 from tetractl.log import provenance
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.spec.experiment import Experiment
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
 
 PERIOD_NS = SECOND // 5  # of a control step
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
@@ -106,11 +106,11 @@ def trial(
         rounds.append((samples, replace(step, solve_ns=step.solve_ns + host_ns)))
     result = _result(rng, robots, steps, simulated, host_ns)
     facts = {"a": repr(rng.random()), "fw": "ü=1"}
-    start = start_of(
+    start = create_start(
         LoadedSpec(spec, SPEC_TEXT, "made-up.yaml"),
         index,
         PlantInfo("sim" if simulated else "lab", simulated, 120.0, facts),
-        EPOCH_NS if simulated else 1_790_000_000_123_456_789,
+        SIMULATED_START_NS if simulated else 1_790_000_000_123_456_789,
     )
     delivered = rng.random(robots) < 0.5
     stop = Command(Stop(), steps * PERIOD_NS, tuple(delivered.tolist()))
@@ -182,7 +182,9 @@ def _single(poses: Poses) -> Poses:
 
 def _as_logged(path: Floats) -> Floats:
     """A path as precise as a log keeps it, which has no headings."""
-    return np.concatenate([drawn(path[..., :2]), np.full_like(path[..., 2:], np.nan)], axis=-1)
+    return np.concatenate(
+        [round_for_drawing(path[..., :2]), np.full_like(path[..., 2:], np.nan)], axis=-1
+    )
 
 
 def _clearances(rng: np.random.Generator, robots: int) -> tuple[float, ...]:

@@ -16,11 +16,11 @@ from mcap.records import Attachment
 from testkit.mutate import changed, places, rewrite
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import (
-    BACKGROUND,
+    BACKGROUND_TOPIC,
     CHANNELS,
     DIGESTS,
     HOST_RECORDS,
-    PICTURE,
+    PICTURE_TOPIC,
     RECOVERED,
     RUN,
     SPEC,
@@ -165,7 +165,12 @@ def missed(path: Path) -> set[tuple[str, str]]:
     """Return of an intact log the (channel, field) of which `verify` misses a change."""
     assert verify(path).problems == ()
     noticed_of, tried_of = score(path, 1)
-    apart = {PICTURE, BACKGROUND, DIGESTS, RECOVERED}  # without messages here, or sealed
+    apart = {
+        PICTURE_TOPIC,
+        BACKGROUND_TOPIC,
+        DIGESTS,
+        RECOVERED,
+    }  # without messages here, or sealed
     assert {channel for channel, _ in tried_of} >= CHANNELS.keys() - apart
     unnoticed = {kind for kind in tried_of if noticed_of[kind] < tried_of[kind]}
     return {kind for kind in unnoticed if kind[0] not in HOST_RECORDS} - STATED_ONCE

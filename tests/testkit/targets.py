@@ -32,8 +32,8 @@ from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import scan
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import Calibration, calibrated, on_plant
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.plants import Calibration, apply_calibration, select_plant
+from tetractl.spec.yaml.core_yaml import format_yaml
 
 UNKNOWN = 2  # status of an answer: the module has no such parameter
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
@@ -127,13 +127,13 @@ def spec(data: bytes) -> None:
 
 def calibration(data: bytes) -> None:
     with only(SpecError, one_line=False):
-        experiment = calibrated(_lab(), text(data), "c.yaml")
+        experiment = apply_calibration(_lab(), text(data), "c.yaml")
         assert isinstance(experiment, Experiment)
 
 
 @cache
 def _lab():
-    return on_plant(parse_spec(LAB_SPEC.read_text("utf-8"), "lab"), "lab").experiment
+    return select_plant(parse_spec(LAB_SPEC.read_text("utf-8"), "lab"), "lab").experiment
 
 
 def calibrations() -> list[bytes]:
@@ -144,7 +144,7 @@ def calibrations() -> list[bytes]:
         camera={"robots": [{"name": "blue", "heading_offset": 0.25}]},
         actuator={"robots": [blue]},
     )
-    return [dump(values.model_dump(mode="json")).encode()]
+    return [format_yaml(values.model_dump(mode="json")).encode()]
 
 
 # serial bytes

@@ -16,7 +16,7 @@ from testkit.paths import ROOT
 import tetractl
 from tetractl.core.errors import AbortError, SpecError, UsageError
 from tetractl.run import executors
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = """
 name: two
@@ -140,7 +140,7 @@ def test_what_cannot_be_run_is_refused(tmp_path):
         tetractl.parse_spec(SPEC, "controller.perod=1")
     lab = ROOT / "experiments" / "three_m3pi_lab.yaml"
     with pytest.raises(UsageError, match="plant is the lab"):
-        tetractl.run_trial(on_plant(tetractl.load_spec(lab), "lab"))
+        tetractl.run_trial(select_plant(tetractl.load_spec(lab), "lab"))
 
 
 def test_ctrl_c_ends_a_trial_and_is_raised_again(tmp_path):

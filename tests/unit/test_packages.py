@@ -11,7 +11,7 @@ from testkit.paths import ROOT
 
 from tetractl.core import __version__
 from tetractl.core.registries import EXAMPLES
-from tetractl.spec.packages import BRINGS
+from tetractl.spec.packages import PROVIDERS
 
 PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))
 OURS = {path.parent.name for path in PROJECTS}
@@ -61,10 +61,10 @@ def test_versions_move_together(project):
 @pytest.mark.parametrize("project", PROJECTS, ids=lambda path: path.parent.name)
 def test_what_a_package_brings_is_named_where_it_is_missing(project):
     metadata = tomllib.loads(project.read_text())["project"]
-    for group in {group for group, _ in BRINGS}:
+    for group in {group for group, _ in PROVIDERS}:
         brought = {
             name
-            for (brought_group, name), package in BRINGS.items()
+            for (brought_group, name), package in PROVIDERS.items()
             if (brought_group, package) == (group, metadata["name"])
         }
         points = metadata["entry-points"].get(group, {})

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from tetractl.api.logs import read_batch
 from tetractl.api.preparation import announcer, check_simulated, interruptible
 from tetractl.api.specs import Spec, as_spec
-from tetractl.core.errors import demand
+from tetractl.core.errors import require_type
 from tetractl.core.trial import Result
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def run_batch(
     from tetractl.view.terminal.progress import progress_of_script
 
     spec = as_spec(spec)
-    demand(folder, str | Path, "the folder must be a path")
+    require_type(folder, str | Path, "the folder must be a path")
     store = Store.of_batch(Path(folder), spec.experiment)
     check_simulated(spec, announcer(progress))
     after = (
@@ -127,9 +127,9 @@ def run_study(
     from tetractl.view.terminal.progress import progress_of_script
 
     if folder is not None:
-        demand(folder, str | Path, "the folder must be a path")
+        require_type(folder, str | Path, "the folder must be a path")
     if not isinstance(study, Mapping):
-        demand(study, str | Path, "a study must be a file or a dict")
+        require_type(study, str | Path, "a study must be a file or a dict")
         study = Path(study)
     loaded = load_study(study)
     store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.api.logs import as_batch
 from tetractl.api.preparation import announcer
-from tetractl.core.errors import UsageError, demand
+from tetractl.core.errors import UsageError, require_type
 
 if TYPE_CHECKING:
     from tetractl.statistics.describe import BatchComparison, BatchStatistics
@@ -21,7 +21,7 @@ def verify(path: str | Path) -> "Verification":
         path: The log of one trial.
 
     Returns:
-        What was compared, and every difference. Its attribute `ok` is True if there is none.
+        The comparison, with every difference. Its attribute `ok` is True if there is none.
 
     Raises:
         UsageError: If `path` is a folder.
@@ -32,7 +32,7 @@ def verify(path: str | Path) -> "Verification":
     """
     from tetractl.verification import verify
 
-    demand(path, str | Path, "verify needs the file of a log")
+    require_type(path, str | Path, "verify needs the file of a log")
     if Path(path).is_dir():
         raise UsageError(
             f"{path}: this is a folder, but verify reads a single log",

@@ -125,7 +125,7 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
     from tetractl.report import play_page as page
     from tetractl.run.open_trial import directed_spec
     from tetractl.run.undisturbed import undisturbed_spec
-    from tetractl.tools.files import save_whole
+    from tetractl.tools.files import write_atomically
 
     if file is not None and not Path(file).absolute().parent.is_dir():
         raise UsageError(f"{file}: the folder {Path(file).parent} does not exist")
@@ -134,5 +134,5 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
     page.refuse_unknown_motion(undisturbed)
     made = page.play_page(undisturbed, run_trial(undisturbed))
     if file is not None:
-        save_whole(Path(file), made.page.encode())
+        write_atomically(Path(file), made.page.encode())
     return made

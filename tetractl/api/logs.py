@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.core.errors import UsageError, demand
+from tetractl.core.errors import UsageError, require_type
 from tetractl.core.poses import Bools, Floats
 from tetractl.log.read.trial_log import TrialLog
 
@@ -43,7 +43,7 @@ def read_log(path: str | Path) -> TrialLog:
     """
     from tetractl.log.read.reader import read_trial
 
-    demand(path, str | Path, "read_log needs the file of a log")
+    require_type(path, str | Path, "read_log needs the file of a log")
     return read_trial(Path(path))
 
 
@@ -69,7 +69,7 @@ def read_batch(*paths: str | Path) -> "Batch":
     if not paths:
         raise UsageError("no log is given")
     for path in paths:
-        demand(path, str | Path, "read_batch needs logs, folders or patterns of file names")
+        require_type(path, str | Path, "read_batch needs logs, folders or patterns of file names")
     return open_batch(paths)
 
 
@@ -77,7 +77,9 @@ def as_trial(trial: Trial) -> TrialLog:
     """Read the log of a trial that is given as its file. A `TrialLog` is returned unchanged."""
     if isinstance(trial, TrialLog):
         return trial
-    demand(trial, str | Path, "a trial must be the file of a log, or a value that read_log returns")
+    require_type(
+        trial, str | Path, "a trial must be the file of a log, or a value that read_log returns"
+    )
     return read_log(trial)
 
 
@@ -89,7 +91,7 @@ def as_batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
         return batch
     if isinstance(batch, str | Path):
         return read_batch(batch)
-    demand(
+    require_type(
         batch,
         Iterable,
         "a batch must be a folder, paths of logs or a value that read_batch returns",
@@ -110,7 +112,9 @@ def as_trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
         return [read_log(trial.log) for trial in data.trials]
     if isinstance(data, TrialLog | str | Path):
         return [as_trial(data)]
-    demand(data, Iterable, "give a trial, a list of trials, a batch or its statistics to draw")
+    require_type(
+        data, Iterable, "give a trial, a list of trials, a batch or its statistics to draw"
+    )
     trials = [as_trial(trial) for trial in data]
     if not trials:
         raise UsageError("the list of trials to draw is empty")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.api.preparation import announcer, check_simulated, interruptible
 from tetractl.api.specs import Spec, as_spec
-from tetractl.core.errors import UsageError, demand, whole_number
+from tetractl.core.errors import UsageError, require_type, require_whole_number
 from tetractl.core.protocols import Observer
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.spec.loaded_spec import LoadedSpec
@@ -51,9 +51,9 @@ def run_trial(
         'arrived'
     """
     spec = as_spec(spec)
-    trial = whole_number(trial, "a trial")
+    trial = require_whole_number(trial, "a trial")
     if folder is not None:
-        demand(folder, str | Path, "the folder must be a path")
+        require_type(folder, str | Path, "the folder must be a path")
     check_simulated(spec, announcer(True))
     if folder is None:
         return _simulate(spec, trial, observers)
@@ -61,7 +61,7 @@ def run_trial(
 
 
 def _simulate(spec: LoadedSpec, trial: int, observers: Sequence[Observer]) -> TrialLog:
-    """Simulate a trial, and keep it in memory."""
+    """Simulate a trial, and keep its records in memory instead of a log file."""
     from tetractl.log.recorder import TrialRecorder
     from tetractl.run.spec_trial import ready_trial
 
@@ -105,7 +105,7 @@ def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTria
     Args:
         spec: The experiment: a loaded spec, a YAML file, or its contents.
         trial: Index of the trial, from 0. It selects the random draws, together with the seed.
-        seed: Seed to use instead of the spec's. None keeps the spec's seed.
+        seed: Seed to use instead of the spec's seed. None to use the spec's seed.
 
     Raises:
         SpecError: If the controller `sequence` cannot run the spec, for example because of a hold.

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tetractl.core.errors import demand
+from tetractl.core.errors import require_type
 from tetractl.spec import load
 from tetractl.spec.loaded_spec import LoadedSpec
 
@@ -27,7 +27,7 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
         >>> spec.experiment.trials.count
         2
     """
-    demand(path, str | Path, "load_spec needs a file; parse_spec takes a dict")
+    require_type(path, str | Path, "load_spec needs a file; parse_spec takes a dict")
     _demand_texts(sets)
     return load.load_spec(Path(path), sets)
 
@@ -53,7 +53,7 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
     _demand_texts(sets)
     if isinstance(text, Mapping):
         return load.parse_contents(text, "spec", sets)
-    demand(text, str, "the contents of a spec must be a string or a dict")
+    require_type(text, str, "the contents of a spec must be a string or a dict")
     return load.parse_spec(text, "spec", sets)
 
 
@@ -75,16 +75,18 @@ Spec = LoadedSpec | str | Path | Mapping[str, Any]
 
 
 def as_spec(spec: Spec) -> LoadedSpec:
-    """Load a spec that is given as a file or as contents. A loaded spec is returned unchanged."""
+    """Load a spec that is given as a file or a mapping. A loaded spec is returned unchanged."""
     if isinstance(spec, LoadedSpec):
         return spec
     if isinstance(spec, Mapping):
         return parse_spec(spec)
-    demand(spec, str | Path, "a spec must be a file, a dict or a value that load_spec returns")
+    require_type(
+        spec, str | Path, "a spec must be a file, a dict or a value that load_spec returns"
+    )
     return load_spec(spec)
 
 
 def _demand_texts(sets: Sequence[str]) -> None:
     """Check that all settings of a call are texts such as "trials.count=5"."""
     for setting in sets:
-        demand(setting, str, 'a setting must be a string such as "trials.count=5"')
+        require_type(setting, str, 'a setting must be a string such as "trials.count=5"')

@@ -34,8 +34,8 @@ def analyze(
     """Simulate trials, and report how well the robots can be steered together.
 
     Prints how many combinations of the robots' end positions one signal can move, which two robots
-    have the most similar turning rates a, and the statistics of the trials, as `stats` prints
-    them. The logs are not kept: `run` keeps them.
+    have the most similar turning rates a, and the statistics of the trials, as `stats` prints them.
+    The logs are not kept: `run` keeps them.
 
     Example: tetractl analyze experiments/tetrahymena.yaml
     """

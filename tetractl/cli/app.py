@@ -1,4 +1,4 @@
-"""The commands of the command line, and how their errors are reported.
+"""The commands of the command line, and the report of their errors.
 
 Modules that are slow to import are imported inside the commands that need them, so that `--help`
 answers at once.
@@ -17,10 +17,10 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import ui
-from tetractl.core.errors import Exit, TetractlError, UsageError, text_of
+from tetractl.core.errors import Exit, TetractlError, UsageError, describe_error
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
-from tetractl.spec.packages import not_installed
+from tetractl.spec.packages import explain_missing
 from tetractl.tools.plugin_fault import UNIX_MODULES, PluginTrialError
 
 EXTRAS = {
@@ -29,7 +29,7 @@ EXTRAS = {
     "pandas": ("pandas", "dataframe"),
     "websockets": ("websockets", "serve"),
 }
-"""For each optional module, the package's name and the extra of tetractl that installs it."""
+"""The package of each optional module, and the extra of tetractl that installs the package."""
 
 PANELS = {
     "An experiment": ("init", "run", "replay", "stats", "verify", "plot"),
@@ -42,15 +42,15 @@ PANELS = {
 
 A command that is in no group belongs to another package.
 """
-OTHERS = "From other packages"
-PANEL_OF = {name: panel for panel, names in PANELS.items() for name in names}
+OTHER_PACKAGES_PANEL = "From other packages"
+PANEL_BY_COMMAND = {name: panel for panel, names in PANELS.items() for name in names}
 
-_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")
+_LINE_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")
 """A break of a docstring inside a paragraph, and not before a line of a list."""
 
 
-def _without_types_of_switches(params: list[Any]) -> list[Any]:
-    """Change the parameters of a command so that its help shows no type next to a switch."""
+def _hide_switch_types(params: list[Any]) -> list[Any]:
+    """Change a command's parameters so that the help shows no type next to a switch."""
     for param in params:
         if isinstance(param, TyperOption) and param.is_flag:
             param.metavar = ""
@@ -61,7 +61,7 @@ class _Command(TyperCommand):
     """A command of typer whose help shows no type next to a switch, an option without a value."""
 
     def get_params(self, ctx: Any) -> Any:
-        return _without_types_of_switches(super().get_params(ctx))
+        return _hide_switch_types(super().get_params(ctx))
 
 
 class _Group(TyperGroup):
@@ -72,11 +72,11 @@ class _Group(TyperGroup):
         self.registry = LAB_COMMANDS if self.name == "lab" else COMMANDS
         registered = dict.fromkeys(self.registry.names())  # None until they are imported
         commands: dict[str, Any] = {**registered, **self.commands}
-        names = [name for name in PANEL_OF if name in commands]
+        names = [name for name in PANEL_BY_COMMAND if name in commands]
         self.commands = {name: commands[name] for name in (*names, *commands)}
 
     def get_params(self, ctx: Any) -> Any:
-        return _without_types_of_switches(super().get_params(ctx))
+        return _hide_switch_types(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command with the name `cmd_name`. None if there is none.
@@ -85,53 +85,55 @@ class _Group(TyperGroup):
             UsageError: If its package is not installed.
         """
         if cmd_name not in self.commands:
-            missing = not_installed(self.registry.group, cmd_name)
+            missing = explain_missing(self.registry.group, cmd_name)
             if missing:
                 problem, hint = missing
                 raise UsageError(f"'{ctx.command_path} {cmd_name}' {problem}", hint)
             return None
         if self.commands[cmd_name] is None:
-            self.commands[cmd_name] = _command(self.registry, cmd_name)
+            self.commands[cmd_name] = _load_command(self.registry, cmd_name)
         return self.commands[cmd_name]
 
 
-def _command(registry: Registry, name: str) -> Any:
-    """Return the command for a function that is registered in a registry.
+def _load_command(registry: Registry, name: str) -> Any:
+    """Load the command for a function in a registry.
 
-    If the function of another package cannot be used, the command that is returned reports why.
+    If the function of another package cannot be used, the returned command reports the reason.
     """
-    panel = None if registry is LAB_COMMANDS else PANEL_OF.get(name, OTHERS)
+    panel = None if registry is LAB_COMMANDS else PANEL_BY_COMMAND.get(name, OTHER_PACKAGES_PANEL)
     try:
         function = registry.load(name)
         try:
-            text = _BREAK.sub(" ", cleandoc(function.__doc__ or ""))
-            return _typer_command(name, function, panel, help=text)
+            help_text = _LINE_BREAK.sub(" ", cleandoc(function.__doc__ or ""))
+            return _create_typer_command(name, function, panel, help=help_text)
         except Exception as error:  # typer cannot make a command of it
             if name in registry.builtin:
                 raise
-            raise registry.unusable(name, f"{type(error).__name__}: {error}") from error
+            raise registry.create_unusable_error(
+                name, f"{type(error).__name__}: {error}"
+            ) from error
     except PluginError as error:
-        broken = error
+        plugin_error = error
 
     from rich.markup import escape
 
     def fail() -> None:
-        raise broken
+        raise plugin_error
 
-    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
-    text = f"Cannot be used: {escape(broken.message)}"
-    return _typer_command(
-        name, fail, panel, help=text, context_settings=anything, add_help_option=False
+    any_arguments = {"allow_extra_args": True, "ignore_unknown_options": True}
+    help_text = f"Cannot be used: {escape(plugin_error.message)}"
+    return _create_typer_command(
+        name, fail, panel, help=help_text, context_settings=any_arguments, add_help_option=False
     )
 
 
-def _typer_command(
+def _create_typer_command(
     name: str, function: Callable[..., object], panel: str | None, **settings: Any
 ) -> Any:
     """Create typer's command for a function, listed in a panel of the help."""
-    app_of_one = typer.Typer(add_completion=False)
-    app_of_one.command(name, cls=_Command, rich_help_panel=panel, **settings)(function)
-    return typer.main.get_command(app_of_one)
+    single_command_app = typer.Typer(add_completion=False)
+    single_command_app.command(name, cls=_Command, rich_help_panel=panel, **settings)(function)
+    return typer.main.get_command(single_command_app)
 
 
 app = typer.Typer(
@@ -144,7 +146,7 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"tetractl {__version__}")
         raise typer.Exit
@@ -153,7 +155,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Steer several robots at once with one control signal.
@@ -171,11 +176,11 @@ app.add_typer(lab, rich_help_panel="Robots and cells")
 def run_app() -> int:
     """Run the command that the program's arguments name, and return one of the codes of `Exit`.
 
-    A command returns its code, or raises an error that `_complain_of` can explain to the user.
+    A command returns its code, or raises an error that `_report_error` can explain to the user.
     Other exceptions are defects of the program, and are not caught.
     """
     if "" in sys.argv[1:]:  # as a path, it would be the present folder
-        return complain(
+        return print_error(
             Exit.USAGE,
             "an argument of the command is empty",
             "does the command use a shell variable that is not set?",
@@ -184,58 +189,59 @@ def run_app() -> int:
         code = app(standalone_mode=False)
         sys.stdout.flush()  # here, so that an error of stdout is handled below
     except (Exception, KeyboardInterrupt, SystemExit) as error:
-        exit_code = _complain_of(error)
+        exit_code = _report_error(error)
         if exit_code is None:
             raise
         return exit_code
     return code if isinstance(code, int) else Exit.DONE
 
 
-def _complain_of(error: BaseException) -> Exit | None:
-    """Print an error with a hint on what helps, and return the exit code.
+def _report_error(error: BaseException) -> Exit | None:
+    """Print an error with a hint for the user, and return the exit code.
 
-    The result is None for an error that no user can cause. The first case that fits is used:
-    OSError comes after its subclasses.
+    The result is None for an error that no user can cause, and nothing is printed. The first case
+    that fits is used: OSError comes after its subclasses.
     """
     match error:
         case PluginTrialError() if sys.flags.dev_mode:
             return None
         case TetractlError():
-            return complain(error.exit, error.message, error.hint)
+            return print_error(error.exit, error.message, error.hint)
         case TyperException():
             if not error.format_message():  # help was printed because no command was given
                 return Exit.USAGE
-            return complain(Exit.USAGE, error.format_message(), _usage_hint(error))
+            return print_error(Exit.USAGE, error.format_message(), _suggest_usage(error))
         case typer.Abort(__cause__=EOFError() as cause):  # typer takes any for Ctrl-D
-            return complain(Exit.FAILED, text_of(cause))
+            return print_error(Exit.FAILED, describe_error(cause))
         case typer.Abort() | KeyboardInterrupt():
-            return complain(Exit.INTERRUPTED, "interrupted")
+            return print_error(Exit.INTERRUPTED, "interrupted")
         case ModuleNotFoundError():
-            return _complain_of_module((error.name or "").partition(".")[0])
+            return _report_missing_module((error.name or "").partition(".")[0])
         case BrokenPipeError() | SystemExit(__context__=BrokenPipeError()):
             return Exit.DONE  # the reader of the output has ended, as in `tetractl stats | head`
         case FileNotFoundError():
-            return complain(Exit.USAGE, f"{error.filename}: there is no such file or folder")
+            return print_error(Exit.USAGE, f"{error.filename}: there is no such file or folder")
         case OSError():
-            where = f"{error.filename}: " if error.filename else ""
-            return complain(Exit.FAILED, f"{where}{error.strerror or error}")
+            file_prefix = f"{error.filename}: " if error.filename else ""
+            return print_error(Exit.FAILED, f"{file_prefix}{error.strerror or error}")
     return None
 
 
-def _complain_of_module(module: str) -> Exit | None:
-    """Print how to install a module that is missing.
+def _report_missing_module(module: str) -> Exit | None:
+    """Print how to install a missing module, and return the exit code.
 
-    Modules that belong to tetractl are ignored.
+    If the module is neither optional nor one that only Windows lacks, nothing is printed, and the
+    result is None.
     """
     if module in UNIX_MODULES:
         problem = (
             f"this command does not run on Windows, because Python has no module '{module}' there"
         )
-        return complain(Exit.USAGE, problem, "simulations, tables and reports run on Windows")
+        return print_error(Exit.USAGE, problem, "simulations, tables and reports run on Windows")
     if module in EXTRAS:
         package, extra = EXTRAS[module]
         problem = f"this command needs {package}, which is not installed"
-        return complain(
+        return print_error(
             Exit.USAGE,
             problem,
             f"install it in your copy of the tetractl repository with: pip install '.[{extra}]'",
@@ -243,24 +249,27 @@ def _complain_of_module(module: str) -> Exit | None:
     return None
 
 
-def _usage_hint(error: TyperException) -> str | None:
-    """Return a hint on how to write a wrong argument, or where the options are listed."""
+def _suggest_usage(error: TyperException) -> str | None:
+    """Suggest how to correct a wrong argument, or where to find the list of options."""
     context = getattr(error, "ctx", None)  # of typer's UsageError, which has no public name
     if context is None:
         return None
-    return _without_equals_sign() or f"try '{context.command_path} --help'"
+    return _suggest_equals_sign() or f"try '{context.command_path} --help'"
 
 
-def _without_equals_sign() -> str | None:
-    """Return how to write a `--set PATH VALUE` that lacks its equals sign. None if none does."""
-    words = sys.argv[1:]
-    for option, path, value in zip(words, words[1:], words[2:], strict=False):
+def _suggest_equals_sign() -> str | None:
+    """Suggest the missing equals sign of `--set PATH VALUE`.
+
+    None if every `--set` has an equals sign.
+    """
+    arguments = sys.argv[1:]
+    for option, path, value in zip(arguments, arguments[1:], arguments[2:], strict=False):
         if option == "--set" and "=" not in path:
             return f"write --set {path}={value}"
     return None
 
 
-def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
+def print_error(code: Exit, message: str, hint: str | None = None) -> Exit:
     """Print an error message and a hint to stderr, and return the exit code.
 
     The lines begin with `error: ` and `hint: `.
@@ -270,7 +279,7 @@ def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
         message: The message.
         hint: The hint. None if there is none.
     """
-    ui.tell(*f"error: {message}".split("\n"))
+    ui.print_messages(*f"error: {message}".split("\n"))
     if hint:
-        ui.tell(*f"hint: {hint}".split("\n"))
+        ui.print_messages(*f"hint: {hint}".split("\n"))
     return code

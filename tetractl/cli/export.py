@@ -38,13 +38,13 @@ def export(
     log_paths = find_logs(logs)
     unread: list[Path] = []
     damaged: list[Path] = []
-    with open_table_files(table_paths) as add_rows, ui.progress("Reading logs") as on_log:
+    with open_table_files(table_paths) as add_rows, ui.show_progress("Reading logs") as on_log:
         for number, path in enumerate(log_paths):
             on_log(number, len(log_paths))
             try:
                 rows_of, damage = read_tables(path, table_paths)
             except LogError as error:
-                ui.tell(f"warning: {error.message}")
+                ui.print_messages(f"warning: {error.message}")
                 unread.append(path)
                 continue
             ui.warn_of_damage(str(path), damage)

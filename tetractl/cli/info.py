@@ -12,8 +12,8 @@ from tetractl.core.errors import Exit, printable
 from tetractl.log.read.find import find_log
 from tetractl.tools.table.table_files import format_json
 
-LINE_MOST = 240
-"""Characters of a line of `info`."""
+LINE_LENGTH_MAX = 240
+"""Maximum number of characters of a printed line."""
 
 if TYPE_CHECKING:
     from tetractl.log.read.overview import ChannelCount, Overview
@@ -39,37 +39,40 @@ def info(
     if as_json:
         print(format_json(contents))
     else:
-        for line in _lines(contents):
-            print(printable(line, LINE_MOST).rstrip())  # --json prints whole lines
+        for line in _format_lines(contents):
+            print(printable(line, LINE_LENGTH_MAX).rstrip())  # --json prints whole lines
     return Exit.FAILED if contents.damage else Exit.DONE
 
 
-def _channel_lines(channels: "Sequence[ChannelCount]") -> Iterator[str]:
-    wide = max((len(item.topic) for item in channels), default=0)
-    for item in channels:
-        rate = "" if item.hz is None else f"{item.hz:.1f} Hz"
-        yield f"{item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
+def _format_channels(channels: "Sequence[ChannelCount]") -> Iterator[str]:
+    topic_width = max((len(channel.topic) for channel in channels), default=0)
+    for channel in channels:
+        rate = "" if channel.hz is None else f"{channel.hz:.1f} Hz"
+        count = f"{channel.messages:>6} messages"
+        yield f"{channel.topic:<{topic_width}}  {channel.schema:<25} {count} {rate:>9}"
 
 
-def _lines(log: "Overview") -> Iterator[str]:
+def _format_lines(log: "Overview") -> Iterator[str]:
     yield f"{log.log}: {log.size} bytes, {log.chunks} chunks"
     events = [f"{event.time_s:8.2f} s  {event.level:<7}  {event.text}" for event in log.events]
     sizes = {name: f"{size} bytes" for name, size in log.attachments.items()}
-    yield from _section("run", _aligned(log.run))
-    yield from _section("result", _aligned(_result(log)))
-    yield from _section("events", events)
-    yield from _section(f"estimate at step {log.estimate_step}", _aligned(_estimate(log)))
-    yield from _section("channels", _channel_lines(log.channels))
-    yield from _section("attachments", _aligned(sizes))
-    yield from _section("host", _aligned(log.host))
-    yield from _section("provenance", _aligned(log.provenance))
-    yield from _section("content digest", _aligned(_digests(log)))
+    yield from _format_section("run", _align(log.run))
+    yield from _format_section("result", _align(_describe_result(log)))
+    yield from _format_section("events", events)
+    yield from _format_section(
+        f"estimate at step {log.estimate_step}", _align(_describe_estimate(log))
+    )
+    yield from _format_section("channels", _format_channels(log.channels))
+    yield from _format_section("attachments", _align(sizes))
+    yield from _format_section("host", _align(log.host))
+    yield from _format_section("provenance", _align(log.provenance))
+    yield from _format_section("content digest", _align(_compare_digests(log)))
     if log.damage:
         lost = [f"lost: {text}" for text in log.damage.lost]
-        yield from _section("damage", [*log.damage.problems, *lost])
+        yield from _format_section("damage", [*log.damage.problems, *lost])
 
 
-def _digests(log: "Overview") -> dict[str, str]:
+def _compare_digests(log: "Overview") -> dict[str, str]:
     """Compare the content digest that a log states with the digest of its records."""
     if log.stated_digest is None:
         return {"computed": log.digest}
@@ -78,28 +81,28 @@ def _digests(log: "Overview") -> dict[str, str]:
     return {"stated": log.stated_digest, "computed": log.digest}
 
 
-def _section(title: str, lines: Iterable[str]) -> Iterator[str]:
-    """Yield the lines of a section with its title. A section without lines is left out."""
+def _format_section(title: str, lines: Iterable[str]) -> Iterator[str]:
+    """Yield the title and the lines of a section. A section without lines is left out."""
     for number, line in enumerate(lines):
         if not number:
             yield from ("", title)
         yield f"  {line}"
 
 
-def _aligned(items: dict[str, str]) -> list[str]:
-    width = max(map(len, items), default=0)
-    return [f"{key:<{width}}  {value}" for key, value in items.items()]
+def _align(values_by_title: dict[str, str]) -> list[str]:
+    title_width = max(map(len, values_by_title), default=0)
+    return [f"{key:<{title_width}}  {value}" for key, value in values_by_title.items()]
 
 
-def _result(log: "Overview") -> dict[str, str]:
+def _describe_result(log: "Overview") -> dict[str, str]:
     result = log.result
     if result is None:
         return {"outcome": "none, because the log breaks off before the end of the trial"}
     unit = log.run.get("unit", "")
     errors = ", ".join(f"{error:.1f}" for error in result.robot_errors)
-    longest = "-"
+    longest_solve = "-"
     if result.solve_ns:
-        longest = f"{milliseconds(max(result.solve_ns)):.1f} ms"
+        longest_solve = f"{milliseconds(max(result.solve_ns)):.1f} ms"
     return {
         "outcome": result.outcome.value,
         "reason": result.reason or "-",
@@ -108,14 +111,14 @@ def _result(log: "Overview") -> dict[str, str]:
         "total error": f"{result.total_error:.1f} {unit}",
         "robot errors": f"{errors} {unit}",
         "entered obstacle": "yes" if result.entered_obstacle else "no",
-        "longest solve": longest,
+        "longest solve": longest_solve,
         "deadline misses": str(result.deadline_misses),
     }
 
 
-def _estimate(log: "Overview") -> dict[str, str]:
-    """Return the last estimate of the motion, a line per robot, with standard deviations."""
-    from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING
+def _describe_estimate(log: "Overview") -> dict[str, str]:
+    """Describe the last estimate of the motion, with standard deviations, in one line per robot."""
+    from tetractl.core.motion_estimate import POSITION_INNOVATIONS, TURNING_INNOVATIONS
     from tetractl.run.model_changes import describe_turning
 
     estimate = log.estimate
@@ -127,30 +130,34 @@ def _estimate(log: "Overview") -> dict[str, str]:
     bias_std = estimate.heading_bias_std
     lines: dict[str, str] = {}
     for robot, name in enumerate(names):
-        parts = [
-            f"a {_deviating(estimate.a[robot], estimate.a_std[robot])} rad/s",
-            f"speed {_deviating(estimate.speed[robot], estimate.speed_std[robot])} {unit}/s",
+        quantities = [
+            f"a {_format_estimate(estimate.a[robot], estimate.a_std[robot])} rad/s",
+            f"speed {_format_estimate(estimate.speed[robot], estimate.speed_std[robot])} {unit}/s",
         ]
         if bias is not None and bias_std is not None:
-            parts.append(f"heading bias {_deviating(bias[robot], bias_std[robot])} rad")
+            quantities.append(f"heading bias {_format_estimate(bias[robot], bias_std[robot])} rad")
         if estimate.lag is not None and estimate.lag_std is not None:
-            parts.append(f"lag {_deviating(estimate.lag[robot], estimate.lag_std[robot])} s")
+            quantities.append(
+                f"lag {_format_estimate(estimate.lag[robot], estimate.lag_std[robot])} s"
+            )
         turns = describe_turning(estimate, robot)
         if turns:
-            parts.append(turns)
-        lines[name] = ", ".join(parts)
+            quantities.append(turns)
+        lines[name] = ", ".join(quantities)
     if estimate.dead_time is not None and estimate.dead_time_std is not None:
-        lines["dead time"] = f"{_deviating(estimate.dead_time, estimate.dead_time_std)} s"
-    unfit = estimate.unexplained(names, OF_TURNING)
-    if unfit:
-        lines["the model does not fit"] = ", ".join(sorted(unfit))
-    strays = estimate.unexplained(names, OF_PLACES)
-    if strays:
-        lines["not as predicted, which does not affect a"] = ", ".join(sorted(strays))
+        lines["dead time"] = f"{_format_estimate(estimate.dead_time, estimate.dead_time_std)} s"
+    unexplained_turning = estimate.list_unexplained(names, TURNING_INNOVATIONS)
+    if unexplained_turning:
+        lines["the model does not fit"] = ", ".join(sorted(unexplained_turning))
+    unexplained_positions = estimate.list_unexplained(names, POSITION_INNOVATIONS)
+    if unexplained_positions:
+        lines["not as predicted, which does not affect a"] = ", ".join(
+            sorted(unexplained_positions)
+        )
     return lines
 
 
-def _deviating(value: float, std: float) -> str:
+def _format_estimate(value: float, std: float) -> str:
     """Format a value with its standard deviation, both rounded to two digits of the deviation."""
     digits = 1 - math.floor(math.log10(std)) if 0 < std < math.inf else 3
     digits = min(max(digits, 0), 9)

@@ -12,7 +12,7 @@ from tetractl.cli.specs import build_template
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import KIND_CHECKS, all_registries
 from tetractl.core.registry import PluginError
-from tetractl.spec.packages import BRINGS, missing, not_installed
+from tetractl.spec.packages import PROVIDERS, explain_missing, list_missing
 from tetractl.tools.table.table_files import format_json
 
 if TYPE_CHECKING:
@@ -62,15 +62,18 @@ def kinds(
     """
     if check is None and (sets or spec):
         raise UsageError("--set and --spec can be used only together with --check")
-    return _list_kinds(as_json) if check is None else _check(check, spec, sets or [], as_json)
+    return _list_kinds(as_json) if check is None else _check_kind(check, spec, sets or [], as_json)
 
 
 @dataclass(frozen=True, slots=True)
 class _ListedKind:
-    """A line of the list: a kind, which is one choice for a section of the spec, and its problem.
+    """A line of the list: a kind of a registry, and the problem that prevents its use.
 
-    `lacks` names a module that the kind needs and that is not installed. `broken` says why an
-    installed kind cannot be used at all.
+    Attributes:
+        registry: The registry of the kind.
+        kind: The kind.
+        lacks: Name of a module that the kind needs and that is not installed. Empty if none.
+        broken: The reason why an installed kind cannot be used at all. Empty if it can be used.
     """
 
     registry: "Registry"
@@ -96,9 +99,9 @@ def _list_kinds(as_json: bool) -> int:
         for row in listed:
             print(_format_line(row))
         for registry in registries:
-            for name, package in sorted(missing(registry.group, registry.names())):
+            for name, package in sorted(list_missing(registry.group, registry.names())):
                 print(_format_columns(registry, name, package, "[not installed]"))
-        ui.tell(*(f"error: {problem}" for problem in broken))
+        ui.print_messages(*(f"error: {problem}" for problem in broken))
     return Exit.USAGE if broken else Exit.DONE
 
 
@@ -115,7 +118,7 @@ def _load_kind(registry: "Registry", kind: "Kind") -> _ListedKind:
         cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
         module = cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
         is_other_package = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
-        if is_other_package and kind.package in ("", *BRINGS.values()):
+        if is_other_package and kind.package in ("", *PROVIDERS.values()):
             return _ListedKind(registry, kind, lacks=module)
         message = error.message if isinstance(error, PluginError) else str(error)
         return _ListedKind(registry, kind, broken=message)
@@ -163,14 +166,14 @@ def _load_kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[A
         UsageError: If no installed package brings it.
     """
     if "kind" not in KIND_CHECKS:
-        lack = not_installed(KIND_CHECKS.group, "kind")
-        assert lack is not None
-        message, hint = lack
+        explanation = explain_missing(KIND_CHECKS.group, "kind")
+        assert explanation is not None
+        message, hint = explanation
         raise UsageError(f"--check: {message}", hint)
     return KIND_CHECKS.load("kind")
 
 
-def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
+def _check_kind(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     """Check the kind that `code` names, print each finding, and return the exit code."""
     check_kind = _load_kind_check()
     sys.path.append("")  # modules in this folder, but in place of no other
@@ -200,10 +203,10 @@ def _parse_fields(sets: list[str]) -> dict[str, Any]:
 
     fields: dict[str, Any] = {}
     for setting in sets:
-        name, equals, text = setting.partition("=")
+        name, equals, value_text = setting.partition("=")
         if not name or not equals:
             raise UsageError(f"--set {setting}: write it as FIELD=VALUE")
-        fields[name] = with_tuples(parse_value(text, printable(f"--set {setting}"), (name,)))
+        fields[name] = with_tuples(parse_value(value_text, printable(f"--set {setting}"), (name,)))
     return fields
 
 
@@ -212,7 +215,7 @@ def _load_experiment(spec: Path | None) -> "Experiment":
     from tetractl.spec.load import parse_spec
 
     if spec is not None:
-        return ui.load(spec, None).experiment
+        return ui.load_spec_file(spec, None).experiment
     return parse_spec(build_template("check", "check"), "check").experiment
 
 

@@ -1,4 +1,4 @@
-"""`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
+"""The commands `tetractl lab check`, `stop` and `calibrate`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +18,7 @@ from tetractl.core.errors import Exit, UsageError
 from tetractl.lab.port_holder import stop_and_end_holder
 from tetractl.lab.serial_port import PortHeldError
 from tetractl.run.interrupt import interrupted_once
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 from tetractl.tools.terminal import has_keys
 from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
 
@@ -56,14 +56,18 @@ def check(
     from tetractl.run.practice import practise
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
-    loaded = _loaded_on(spec, sets, plant)
+    loaded = _load_for_plant(spec, sets, plant)
     experiment = loaded.experiment
     rig = ui.build_rig_of(experiment)
-    if experiment.open:
+    if experiment.must_choose_robots:
         rig.start_anywhere()
 
     def with_practice(findings: Preflight) -> Preflight:
-        if not experiment.plant.real_time or experiment.open or findings.camera_rate_hz is None:
+        if (
+            not experiment.plant.real_time
+            or experiment.must_choose_robots
+            or findings.camera_rate_hz is None
+        ):
             return findings
         warm_up(experiment, partial(ui.announce_compiling, False))
         practice = practise(loaded, rig.clock, rig.measure_silence_ns)
@@ -80,7 +84,7 @@ def check(
     if yes:
         return Exit.DONE
     if preflight.questions and not has_keys():
-        ui.tell(
+        ui.print_messages(
             "there is no terminal in which to answer the questions; to answer yes"
             " to all of them, add --yes"
         )
@@ -102,9 +106,8 @@ def stop(
     """Stop every robot, through the spec's actuator or the port of an m3pi radio.
 
     m3pi and twist robots stay stopped until you switch them off and on. A coil driver makes no
-    field
-    until you switch it off and on. Other robots, such as toio cubes, can be driven again at once.
-    Cells swim on.
+    field until you switch it off and on. Other robots, such as toio cubes, can be driven again at
+    once. Cells swim on.
 
     No camera is needed. If a run uses the port, the command sends stops on the same port and ends
     the run: it asks the run twice to end, and then kills it. Exits with 1 if a robot cannot be
@@ -112,30 +115,30 @@ def stop(
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
-    stop_all = _stops(spec, sets, port, baud)
+    stop_all = _find_stop_function(spec, sets, port, baud)
     released = set[str]()  # ports of runs that have been ended
     while True:  # until stops are sent while no other program can drive the robots
         try:
-            sent = stop_all()
+            description = stop_all()
         except PortHeldError as held:
             if held.port in released:
                 raise
-            stop_and_end_holder(held.port, partial(stop_all, alone=False), ui.tell)
+            stop_and_end_holder(held.port, partial(stop_all, alone=False), ui.print_messages)
             released.add(held.port)
         else:
-            typer.echo(sent)
+            typer.echo(description)
             return Exit.DONE
 
 
-def _stops(
+def _find_stop_function(
     spec: Path | None, sets: list[str] | None, port: str | None, baud: int
 ) -> Callable[..., str]:
-    """Return a function that stops every robot of a lab and describes the result in a line.
+    """Find the function that stops every robot of a lab, and describes the result in a line.
 
-    It uses the actuator of a spec's lab, or an m3pi radio on a port.
+    The function uses the actuator of a spec's lab, or an m3pi radio on a port.
     """
     if spec is not None and port is None:
-        return _stops_of_spec(spec, sets or [])
+        return _find_spec_stop_function(spec, sets or [])
     if port is not None and spec is None:
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
 
@@ -143,32 +146,34 @@ def _stops(
     raise UsageError("give either a spec or --port, and only one of them")
 
 
-def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
-    """Return a function that stops every robot of a spec's real lab, without its calibration.
+def _find_spec_stop_function(spec: Path, sets: list[str]) -> Callable[..., str]:
+    """Find the function that stops every robot of a spec's real lab, without its calibration.
 
     If another part of the spec is wrong, the robots are stopped by its actuator alone, and the
     errors are printed as warnings.
     """
-    from tetractl.spec.actuator_alone import actuator_alone
+    from tetractl.spec.actuator_alone import load_actuator_alone
     from tetractl.spec.load import load_document
-    from tetractl.spec.plants import lab_of, on_plant, settings_on
+    from tetractl.spec.plants import adapt_settings, get_lab, select_plant
     from tetractl.spec.yaml.document import read_document
     from tetractl.spec.yaml.settings import with_settings
 
     document = read_document(spec)
-    settings = settings_on(document, sets, "lab")
+    settings = adapt_settings(document, sets, "lab")
     try:
-        loaded = on_plant(load_document(document, settings), "lab", with_calibration=False)
+        loaded = select_plant(load_document(document, settings), "lab", with_calibration=False)
     except UsageError as error:
-        settled = with_settings(document, settings)
-        alone = actuator_alone(settled)
-        wrong_setting = len(settled.problems) > len(document.problems)  # it may name the port
-        if alone is None or wrong_setting:
+        document_with_settings = with_settings(document, settings)
+        actuator_and_setup = load_actuator_alone(document_with_settings)
+        wrong_setting = len(document_with_settings.problems) > len(
+            document.problems
+        )  # it may name the port
+        if actuator_and_setup is None or wrong_setting:
             raise
-        ui.tell(*(f"warning: {line}" for line in error.message.split("\n")))
-        actuator, setup = alone
+        ui.print_messages(*(f"warning: {line}" for line in error.message.split("\n")))
+        actuator, setup = actuator_and_setup
         return partial(actuator.stop_all, setup, MonotonicClock())
-    lab = lab_of(loaded.experiment, loaded.name)
+    lab = get_lab(loaded.experiment, loaded.name)
     return partial(lab.actuator.stop_all, loaded.experiment.setup, lab.clock())
 
 
@@ -196,14 +201,13 @@ def calibrate(
     """Calibrate each robot's actuator with small motions.
 
     The command measures wheel speeds, wheel distance and heading offset of robots on two wheels.
-    The
-    robots move one after another, each within about 0.3 m. Space or Esc stops all robots.
+    The robots move one after another, each within about 0.3 m. Space or Esc stops all robots.
     Afterwards, enter the name of the file in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
     ui.refuse_existing(out)
-    experiment = _loaded_on(spec, sets, plant).experiment
+    experiment = _load_for_plant(spec, sets, plant).experiment
     names = robot or list(experiment.setup.names)
     for name in names:
         if name not in experiment.setup.names:
@@ -211,13 +215,13 @@ def calibrate(
     ui.find_rig_section(experiment).require_calibratable()
     if experiment.plant.real_time:
         ui.require_consent(yes, f"{', '.join(names)} will move by up to 0.3 m each.")
-    return save_calibration(out, _calibrated(experiment, names, limit))
+    return save_calibration(out, _calibrate_robots(experiment, names, limit))
 
 
-def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
-    """Move the named robots in small motions, and return what was measured.
+def _calibrate_robots(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
+    """Calibrate the named robots with small motions, and return the measured values.
 
-    A signal, or the terminal's space bar or Esc, stops them.
+    A signal, or the terminal's space bar or Esc, stops the robots.
     """
     from numpy.random import SeedSequence
 
@@ -226,14 +230,14 @@ def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "
     lab = ui.find_rig_section(experiment)
     supervision = LabSupervision()
 
-    def rig_within(limits: "LabLimits", setup: "Setup") -> "Rig":
+    def make_rig(limits: "LabLimits", setup: "Setup") -> "Rig":
         limited = lab.model_copy(update={"limits": limits})
         seed = SeedSequence(experiment.trials.seed)
         return limited.rig(setup, limited.clock(), seed, supervision)
 
     with watched_by_operator(supervision, experiment.plant.real_time):
         calibrate_robots = lab.actuator.calibrate
-        return calibrate_robots(lab, rig_within, experiment.setup, names, limit, ui.tell)
+        return calibrate_robots(lab, make_rig, experiment.setup, names, limit, ui.print_messages)
 
 
 @contextmanager
@@ -246,19 +250,16 @@ def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Ite
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hang_up_without_reader(), interrupted_once(robots_move=True), stop_key as key:
         if key.listening:
-            ui.tell(STOP_HINT)
+            ui.print_messages(STOP_HINT)
         elif real_robots:
-            ui.tell(NO_KEY)
+            ui.print_messages(NO_KEY)
         yield
 
 
 def save_calibration(out: Path, measured: "Measured") -> int:
-    """Write what was measured to a file for `lab.calibration`, and print it.
-
-    The exit code is returned.
-    """
+    """Write measured values to a calibration file, print them, and return the exit code."""
     from tetractl.spec.plants import Calibration
-    from tetractl.spec.yaml.core_yaml import dump
+    from tetractl.spec.yaml.core_yaml import format_yaml
 
     calibration = Calibration(
         measured=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -269,23 +270,27 @@ def save_calibration(out: Path, measured: "Measured") -> int:
     try:  # first, so that a full disk does not lose the lines
         print(*measured.lines, sep="\n", flush=True)
     except OSError:  # the reader of stdout has ended, or its disk is full
-        ui.tell(*measured.lines)
+        ui.print_messages(*measured.lines)
     values = calibration.model_dump(mode="json", exclude_none=True)
-    save_whole(out, dump(values).encode())
-    whose = f", of an emulated {' and '.join(measured.emulated)}" if measured.emulated else ""
-    ui.tell(f"wrote {out}{whose}; to use it, name the file in the spec as lab.calibration")
+    write_atomically(out, format_yaml(values).encode())
+    emulated_note = (
+        f", of an emulated {' and '.join(measured.emulated)}" if measured.emulated else ""
+    )
+    ui.print_messages(
+        f"wrote {out}{emulated_note}; to use it, name the file in the spec as lab.calibration"
+    )
     return Exit.DONE
 
 
-def _loaded_on(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
+def _load_for_plant(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
     """Load a spec for its lab, which is real or, if `plant` says so, emulated by software."""
     from tetractl.spec.load import load_document
-    from tetractl.spec.plants import on_plant, settings_on
+    from tetractl.spec.plants import adapt_settings, select_plant
     from tetractl.spec.yaml.document import read_document
 
     document = read_document(spec)
-    loaded = load_document(document, settings_on(document, sets or [], plant))
-    return on_plant(loaded, plant)
+    loaded = load_document(document, adapt_settings(document, sets or [], plant))
+    return select_plant(loaded, plant)
 
 
 def _xbee(port: str, baud: int) -> "XbeeSection":

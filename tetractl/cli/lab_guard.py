@@ -41,9 +41,8 @@ def guard(
 
     The guard receives the poses and commands of each log again. For everything that it would have
     done, a row states the time, the check, the robot, and the value with its limit. For each check,
-    a
-    table at the end counts the refused poses, the stopped robots and the ended runs, and the hours
-    for which the check was active. Try other limits with --set lab.limits.wheel_error=0.2.
+    a table at the end counts the refused poses, the stopped robots and the ended runs, and the
+    hours for which the check was active. Try other limits with --set lab.limits.wheel_error=0.2.
 
     A log holds only the poses that the guard accepted in the trial. Where the guard refused a pose,
     the robot now counts as untracked. Without wheel speeds in a log, motion and drift are not
@@ -53,18 +52,21 @@ def guard(
     """
     from tetractl.verification.guard_replay import observe_log
 
-    watched: list[tuple[str, GuardReport]] = []
+    reports_by_log: list[tuple[str, GuardReport]] = []
     for path in find_logs(logs):
         log = ui.open_trial(path)
-        watched.append((str(path), observe_log(log, _change_limits(log, sets or []))))
-    counts = _count_interventions([seen for _, seen in watched])
-    items = {"logs": [_convert_to_item(name, seen) for name, seen in watched], "checks": counts}
+        reports_by_log.append((str(path), observe_log(log, _change_limits(log, sets or []))))
+    counts = _count_interventions([report for _, report in reports_by_log])
+    json_items = {
+        "logs": [_convert_to_item(name, report) for name, report in reports_by_log],
+        "checks": counts,
+    }
     rows = [
-        _build_event_table(name, seen, rows_max)
-        for name, seen in watched
-        if seen.interventions and rows_max
+        _build_event_table(name, report, rows_max)
+        for name, report in reports_by_log
+        if report.interventions and rows_max
     ]
-    ui.show(as_json, items, [*rows, _build_total_table(counts, len(watched))])
+    ui.print_results(as_json, json_items, [*rows, _build_total_table(counts, len(reports_by_log))])
     return Exit.DONE
 
 
@@ -150,14 +152,14 @@ def _count_interventions(reports: "list[GuardReport]") -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for name in check_names:
         is_special = name not in COMMON_CHECKS + WHEEL_CHECKS
-        watched = [report.watched_s for report in reports if is_special or name in report.checks]
+        watched_s = [report.watched_s for report in reports if is_special or name in report.checks]
         rows.append(
             {
                 "check": name,
                 "poses_refused": by_check[name, Action.REFUSES],
                 "robots_stopped": by_check[name, Action.STOPS],
                 "runs_ended": by_check[name, Action.ENDS],
-                "hours": sum(watched) / 3600,
+                "hours": sum(watched_s) / 3600,
             }
         )
     return rows

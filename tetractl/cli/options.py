@@ -23,9 +23,9 @@ def option(
     """Declare an option of a command for typer.
 
     Args:
-        metavar: How its value is shown in the help.
-        description: Its help.
-        *names: Its names. Not needed if it is named after its parameter.
+        metavar: Name of the option's value in the help.
+        description: Help text of the option.
+        *names: Names of the option. Not needed if the option is named after its parameter.
         min: Minimum value. None for no limit.
         max: Maximum value. None for no limit.
     """

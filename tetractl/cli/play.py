@@ -161,7 +161,7 @@ def _write_page(spec: "LoadedSpec", file: Path) -> int:
     from tetractl.api.drawings import play_page
 
     play_page(spec, file=file)
-    ui.tell(f"wrote {file}: open it in a browser, or send it to others")
+    ui.print_messages(f"wrote {file}: open it in a browser, or send it to others")
     return Exit.DONE
 
 
@@ -191,8 +191,8 @@ class Game:
         self.experiment = loaded.experiment
         self.folder = folder
         self.interrupt = interrupt
-        self.yours: list[Result] = []
-        self.theirs: Result | None = None
+        self.own_results: list[Result] = []
+        self.controller_result: Result | None = None
         self.over = False
         self.error = ""
         self._loaded = loaded
@@ -215,11 +215,11 @@ class Game:
         """
         from tetractl.run.hand import HandController, never_pause, run_by_hand
 
-        folder = self._folder(len(self.yours) + 1)
+        folder = self._folder(len(self.own_results) + 1)
         hand = HandController(self._directed, TRIAL, ask, pause or never_pause)
         result = run_by_hand(self._directed, folder, hand, observers, self.interrupt, supervision)
         if hand.directions:
-            self.yours.append(result)
+            self.own_results.append(result)
         else:
             self.over = True
         stopped = supervision is not None and supervision.emergency.is_set()
@@ -245,15 +245,15 @@ class Game:
 
         folder = self.folder / "controller"
         make_folder(folder)
-        self.theirs = run_logged(self._loaded, folder, TRIAL, observers, self.interrupt)
-        self._note_end(self.theirs, lost=False)
+        self.controller_result = run_logged(self._loaded, folder, TRIAL, observers, self.interrupt)
+        self._note_end(self.controller_result, lost=False)
 
     @property
     def folders(self) -> "list[Path]":
         """The folders with the logs of the person's trials and of the controller's."""
-        numbers = range(1, len(self.yours) + 1)
-        of_controller = [] if self.theirs is None else [self.folder / "controller"]
-        return [*map(self._folder, numbers), *of_controller]
+        numbers = range(1, len(self.own_results) + 1)
+        controller_folders = [] if self.controller_result is None else [self.folder / "controller"]
+        return [*map(self._folder, numbers), *controller_folders]
 
     def _folder(self, number: int) -> Path:
         return self.folder / ("you" if number == 1 else f"you-{number}")
@@ -304,7 +304,7 @@ def _play_on_terminal(game: Game, console: "Console", speed: float) -> None:
     while not game.over:
         if pressed_key == AGAIN:
             pressed_key = _run_own_trial(game, console, speed)
-        elif pressed_key == GO_ON and game.theirs is None:
+        elif pressed_key == GO_ON and game.controller_result is None:
             pressed_key = _run_controller_trial(game, console, speed)
         else:
             return
@@ -334,7 +334,7 @@ def _run_own_trial(game: Game, console: "Console", speed: float) -> str:
         own_result = f"You: {_describe_result(result, game.experiment)}"
         if _is_aborted(result):
             own_result = f"{own_result}. This try is lost"
-        if game.theirs is None:
+        if game.controller_result is None:
             view.say(f"{own_result}. {WHY}", "ENTER: the controller", "R: again")
         else:
             view.say(f"{own_result}. Before: {_summarise_game(game)}.", "R: again", "ENTER: end")
@@ -350,7 +350,7 @@ def _run_controller_trial(game: Game, console: "Console", speed: float) -> str:
     from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.live_screen import LiveView
 
-    own_result = f"Your best: {_describe_result(_find_best(game.yours), game.experiment)}."
+    own_result = f"Your best: {_describe_result(_find_best(game.own_results), game.experiment)}."
     keys = HandKeys(has_ended=lambda: game.interrupt.requested)
     side_text = (
         f"{own_result} Now the controller steers from the same start. The dots show its plan, "
@@ -401,24 +401,24 @@ def _build_observers(
 
 def _conclude(game: Game) -> int:
     """Print how the trials of the game ended, and return the exit code."""
-    if game.yours:
+    if game.own_results:
         print(_summarise_game(game), flush=True)
-        if game.theirs is not None:
-            ui.tell(*_suggest_disturbances(game.experiment))
+        if game.controller_result is not None:
+            ui.print_messages(*_suggest_disturbances(game.experiment))
         folders = " ".join(quote(str(path)) for path in game.folders)
-        ui.tell(
+        ui.print_messages(
             f"the logs are in {game.folder}; look at them with:", f"  tetractl replay {folders}"
         )
     else:
         game.folder.rmdir()
     if game.error:
-        ui.tell(f"error: {game.error}")
+        ui.print_messages(f"error: {game.error}")
         return Exit.FAILED
     if game.interrupt.requested:
-        ui.tell("interrupted")
+        ui.print_messages("interrupted")
         return Exit.INTERRUPTED
-    if not game.yours:
-        ui.tell("no direction was given, so nothing was logged")
+    if not game.own_results:
+        ui.print_messages("no direction was given, so nothing was logged")
     return Exit.DONE
 
 
@@ -439,10 +439,14 @@ def _suggest_disturbances(experiment: "Experiment") -> list[str]:
 
 def _summarise_game(game: Game) -> str:
     """Describe in one line how well the person's and the controller's trials ended."""
-    first_try, *later_tries = [_describe_result(result, game.experiment) for result in game.yours]
-    clauses = [f"you {first_try}", *(f"again {other}" for other in later_tries)]
-    if game.theirs is not None:
-        clauses.append(f"the controller {_describe_result(game.theirs, game.experiment)}")
+    first_try, *later_tries = [
+        _describe_result(result, game.experiment) for result in game.own_results
+    ]
+    clauses = [f"you {first_try}", *(f"again {other_summary}" for other_summary in later_tries)]
+    if game.controller_result is not None:
+        clauses.append(
+            f"the controller {_describe_result(game.controller_result, game.experiment)}"
+        )
     return ", ".join(clauses)
 
 

@@ -67,10 +67,10 @@ def _video(logs: list[Path], out: Path | None) -> int:
     path = out or _default_name(logs, VIDEO).with_suffix(".gif")
     check_file(path)
     log = ui.open_trial(logs[0])
-    with ui.progress("Drawing") as on_picture:
+    with ui.show_progress("Drawing") as on_picture:
         speed = write_video(log, path, on_picture)
     if speed > 1:
-        ui.tell(f"the video plays {speed} times faster than the trial")
+        ui.print_messages(f"the video plays {speed} times faster than the trial")
     print(printable(str(path)))
     return Exit.FAILED if log.damage else Exit.DONE
 

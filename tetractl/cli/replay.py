@@ -85,7 +85,7 @@ class Playlist:
         paths: The files of the logs.
         rate: Playing speed, as a multiple of real time. None for the default.
         start_s: Time of the trial at which the first log begins [s].
-        until_s: Time at which it ends [s]. None for the end of the trial.
+        until_s: Time at which the first log ends [s]. None for the end of the trial.
         loop: Whether to begin again at the end.
     """
 
@@ -106,9 +106,10 @@ class Playlist:
         self._wall = MonotonicClock()
 
     def play(self, console: "Console", paused: bool) -> bool:
-        """Play the logs on the terminal's screen until q is pressed.
+        """Play the logs on the terminal's screen until q is pressed or a signal arrives.
 
-        Return whether a signal ended it.
+        Returns:
+            Whether a signal ended the replay.
         """
         from tetractl.view.player import Player, span
         from tetractl.view.terminal.replay_screen import play_trials

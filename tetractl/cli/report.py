@@ -7,7 +7,7 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.errors import Exit, printable
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 
 
 def report(
@@ -29,10 +29,10 @@ def report(
     from tetractl.report import page
 
     ui.require_folder_of(out)
-    with ui.progress("Reading logs") as on_log:
+    with ui.show_progress("Reading logs") as on_log:
         html, unread = page.report(logs, title, on_log)
-    save_whole(out, html.encode())
-    ui.tell(*(f"warning: {problem}" for problem in unread))
+    write_atomically(out, html.encode())
+    ui.print_messages(*(f"warning: {problem}" for problem in unread))
     print(printable(str(out)))
     return Exit.FAILED if unread else Exit.DONE
 
@@ -53,7 +53,7 @@ def open_(
     out = out or Path(mkdtemp(prefix="tetractl-")) / "report.html"
     code = report(logs, out)
     if not open_in_browser(out.resolve().as_uri()):
-        ui.tell(
+        ui.print_messages(
             "notice: no browser was found on this computer; open the file in a browser yourself"
         )
     return code

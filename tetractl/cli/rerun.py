@@ -42,26 +42,24 @@ def rerun(
     """Run the trial of a log again, and compare the two logs.
 
     The command uses the spec and the seed in the log. A trial in virtual time repeats exactly on
-    its
-    plant; the exit code is 1 if the two logs differ in content. With --set, the trial is a
-    different
-    one, for instance with another controller, and the command prints the total errors of both. The
-    trial of a log from a lab is simulated. Robots move only with --plant lab.
+    its plant; the exit code is 1 if the two logs differ in content. With --set, the trial is a
+    different one, for instance with another controller, and the command prints the total errors of
+    both. The trial of a log from a lab is simulated. Robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.run.logged_trial import log_path
-    from tetractl.spec.load import parse_written
+    from tetractl.spec.load import parse_resolved
 
-    raw = scan(find_log(log))
-    trial = trial_of(raw)
+    raw_log = scan(find_log(log))
+    trial = trial_of(raw_log)
     spec = trial.spec
     if sets:
-        changed = parse_written(trial.start.resolved, "the log's spec", sets)
+        changed = parse_resolved(trial.start.resolved, "the log's spec", sets)
         spec = replace(spec, experiment=changed.experiment)
-    how = RunOptions(
+    run_options = RunOptions(
         out=out,
         dry_run=dry_run,
         quiet=quiet,
@@ -70,50 +68,50 @@ def rerun(
         json=json,
         unattended=unattended,
     )
-    number = trial.start.trial
-    code, folder = run_command(_on_plant(spec, plant), how, only_trial=number)
+    trial_index = trial.start.trial
+    code, folder = run_command(_select_plant(spec, plant), run_options, only_trial=trial_index)
     if code != Exit.DONE or dry_run:
         return code
-    raw_again = scan(log_path(folder, number))
+    raw_again = scan(log_path(folder, trial_index))
     if spec.hash == trial.spec.hash:
-        return _compare(raw, trial, raw_again)
-    _tell_errors(raw, raw_again)
+        return _compare_logs(raw_log, trial, raw_again)
+    _print_errors(raw_log, raw_again)
     return Exit.DONE
 
 
-def _on_plant(spec: "LoadedSpec", plant: str) -> "LoadedSpec":
+def _select_plant(spec: "LoadedSpec", plant: str) -> "LoadedSpec":
     """Return the spec of a log for another plant: simulated robots, or a real or emulated lab.
 
     No calibration file is read for a log of a lab, because the spec in the log already has the
     calibration's values.
     """
     from tetractl.spec.lab_section import LabSection
-    from tetractl.spec.plants import lab_as, on_plant
+    from tetractl.spec.plants import convert_lab, select_plant
 
     experiment = spec.experiment
     lab = experiment.plant
     if plant == "sim" or not isinstance(lab, LabSection):
-        return on_plant(spec, plant)
-    changed: dict[str, Any] = {"plant": lab_as(plant, lab)}
+        return select_plant(spec, plant)
+    changed: dict[str, Any] = {"plant": convert_lab(plant, lab)}
     if experiment.chosen is not None:  # no robot is where the log's trial began
         changed["chosen"] = experiment.chosen.sought()
     return replace(spec, experiment=experiment.model_copy(update=changed))
 
 
-def _tell_errors(raw: "RawLog", raw_again: "RawLog") -> None:
+def _print_errors(raw_log: "RawLog", raw_again: "RawLog") -> None:
     """Print the total errors of two logged trials whose specs differ."""
     from tetractl.log.read.reader import result_of
 
-    error = result_of(raw).result.total_error
+    error = result_of(raw_log).result.total_error
     error_again = result_of(raw_again).result.total_error
-    unit = raw.run.unit
-    ui.tell(
+    unit = raw_log.run.unit
+    ui.print_messages(
         f"the total error is {error_again:.2f} {unit}, and was {error:.2f} {unit} in "
         "the log; nothing else is compared, because the specs differ"
     )
 
 
-def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
+def _compare_logs(raw_log: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     """Print whether two logs of a trial have the same content. Return FAILED if they differ."""
     from tetractl.log.format.channels import RESOLVED_SPEC
     from tetractl.log.read.reader import result_of
@@ -128,22 +126,22 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
         names = f"the log comes from {name}, but the new one from {name_again}"
         if name == name_again:
             names = f"both logs come from {name}"
-        ui.tell(f"{names}, so they are not compared")
+        ui.print_messages(f"{names}, so they are not compared")
         return Exit.DONE
-    digest = raw.content_digest
+    digest = raw_log.content_digest
     digest_again = raw_again.content_digest
     if digest == digest_again:
-        ui.tell(f"the content digests agree: {digest}")
+        ui.print_messages(f"the content digests agree: {digest}")
         return Exit.DONE
-    both_digests = f"{digest} in {raw.path}, {digest_again} in {raw_again.path}"
-    ui.tell(f"the content digests differ: {both_digests}")
-    first_difference = next(log_differences(raw_again, raw), None)
+    both_digests = f"{digest} in {raw_log.path}, {digest_again} in {raw_again.path}"
+    ui.print_messages(f"the content digests differ: {both_digests}")
+    first_difference = next(log_differences(raw_again, raw_log), None)
     if first_difference is not None:
-        ui.tell(f"  {first_difference}")
-    if raw.damaged or not result_of(raw).outcome.complete:
-        ui.tell(f"  {raw.path} is damaged, or its trial was cut short")
-    if raw.attachment_text(RESOLVED_SPEC) != raw_again.attachment_text(RESOLVED_SPEC):
-        ui.tell("  the spec in the log lacks fields that this version of tetractl has")
+        ui.print_messages(f"  {first_difference}")
+    if raw_log.damaged or not result_of(raw_log).outcome.complete:
+        ui.print_messages(f"  {raw_log.path} is damaged, or its trial was cut short")
+    if raw_log.attachment_text(RESOLVED_SPEC) != raw_again.attachment_text(RESOLVED_SPEC):
+        ui.print_messages("  the spec in the log lacks fields that this version of tetractl has")
     for line in host_differences(trial):
-        ui.tell(f"  {line}")
+        ui.print_messages(f"  {line}")
     return Exit.FAILED

@@ -61,8 +61,7 @@ def run(
     still. In the lab, the next trial waits until they are back at their starts, as between all
     trials. The batch still ends after an emergency stop, after the failure of a device, if a robot
     may still move, and if the next trial cannot start. The exit code of a batch with an aborted
-    trial
-    is 1.
+    trial is 1.
 
     With --rate 1, or with --serve, a simulated trial takes as long as a real one.
 
@@ -84,7 +83,7 @@ def run(
             "--rate shows only one trial at a time",
             "leave out --rate, or leave out --serve and --jobs",
         )
-    how = RunOptions(
+    run_options = RunOptions(
         out=out,
         jobs=jobs,
         resume=resume,
@@ -102,5 +101,5 @@ def run(
         FieldValue("trials.seed", seed, "--seed"),
     ]
     loaded = load_to_run(spec, sets or [], plant, of_spec, strict)
-    code, _ = run_command(loaded, how)
+    code, _ = run_command(loaded, run_options)
     return code

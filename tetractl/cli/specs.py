@@ -16,8 +16,8 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
-from tetractl.spec.packages import not_installed
-from tetractl.spec.yaml.problems import InvalidSpecError, did_you_mean
+from tetractl.spec.packages import explain_missing
+from tetractl.spec.yaml.problems import InvalidSpecError, suggest_similar
 from tetractl.tools.table.table_files import format_json
 from tetractl.tools.table.terminal_table import open_console
 
@@ -36,11 +36,11 @@ def read_example_files(name: str) -> dict[str, str]:
 
     Raises UsageError if there is no such example, or its package is not installed.
     """
-    from tetractl.spec.examples import FOLDER, examples
+    from tetractl.spec.examples import FOLDER, find_examples
     from tetractl.spec.yaml.document import parse_document
     from tetractl.spec.yaml.spec_files import read_text
 
-    files = examples()
+    files = find_examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
     if name not in files:
         raise _create_example_error(name, list(files))
@@ -65,13 +65,13 @@ def _create_example_error(name: str, examples: Sequence[str]) -> UsageError:
 
     folders = sorted({f"{example.partition('/')[0]}/" for example in examples if "/" in example})
     group = name.partition("/")[0]
-    install_advice = not_installed(EXAMPLES.group, group)
+    install_advice = explain_missing(EXAMPLES.group, group)
     if install_advice and f"{group}/" not in folders:
         problem, hint = install_advice
         return UsageError(f"the example '{name}' {problem}", hint)
     ungrouped = [example for example in examples if "/" not in example]
     return UsageError(
-        f"there is no example named '{name}'{did_you_mean(name, examples)}",
+        f"there is no example named '{name}'{suggest_similar(name, examples)}",
         f"the available examples are {', '.join([*ungrouped, *folders])}",
     )
 
@@ -99,8 +99,7 @@ def init(
     With --example, the command writes a shipped spec, study or fault script, and the files that it
     names, to experiments/, where the examples of other commands expect it. If there is no such
     example, the command lists all examples of tetractl and of the installed packages. For folders
-    such
-    as studies/, it lists only the folder itself.
+    such as studies/, it lists only the folder itself.
 
     Example: tetractl init first
 
@@ -128,7 +127,7 @@ def init(
     _write_new_file(
         path, build_template(path.stem, path.name, lab, camera, robots), "give another NAME"
     )
-    ui.tell(f"run it with: tetractl run {path}")
+    ui.print_messages(f"run it with: tetractl run {path}")
     return Exit.DONE
 
 
@@ -172,14 +171,14 @@ def build_template(
         camera: Kind of the lab's camera. None for the default.
         robots: Kind of the lab's robots. None for the default.
     """
-    from tetractl.spec.lab_template import OURS, lab_template
-    from tetractl.spec.yaml.core_yaml import dump
+    from tetractl.spec.lab_template import OWN_TEMPLATES, lab_template
+    from tetractl.spec.yaml.core_yaml import format_yaml
 
     if lab:
         text = lab_template(robots or "m3pi-xbee", camera)
     else:
-        text = (OURS / "robots.yaml").read_text("utf-8")
-    name_line = dump({"name": name}).strip(
+        text = (OWN_TEMPLATES / "robots.yaml").read_text("utf-8")
+    name_line = format_yaml({"name": name}).strip(
         "{}\n"
     )  # in quotes if YAML would read the name as a number
     return text.replace("@NAME@", name_line).replace("@FILE@", file)
@@ -206,7 +205,7 @@ def validate(
 
     Example: tetractl validate experiments/*.yaml
     """
-    checked = [_check(spec, sets or []) for spec in specs]
+    checked = [_check_file(spec, sets or []) for spec in specs]
     if as_json:
         print(format_json({"specs": [spec.fields for spec in checked]}))
     else:
@@ -225,7 +224,7 @@ class CheckedFile:
     lines: list[str]
 
 
-def _check(path: Path, sets: list[str]) -> CheckedFile:
+def _check_file(path: Path, sets: list[str]) -> CheckedFile:
     """Check a spec, or a study and the specs of its arms, and print the warnings."""
     from tetractl.spec.load import is_study, load_document
     from tetractl.spec.yaml.document import read_document
@@ -239,7 +238,7 @@ def _check(path: Path, sets: list[str]) -> CheckedFile:
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return CheckedFile({"path": file, "ok": False, "problems": problems}, error.lines())
-    return _summarise_valid(file, loaded, ui.warn(loaded))
+    return _summarise_valid(file, loaded, ui.print_warnings(loaded))
 
 
 def _summarise_valid(
@@ -286,7 +285,7 @@ def _check_study(path: Path, sets: list[str], file: str) -> CheckedFile:
     arms = len(loaded.arms)
     trials = loaded.arms[0].spec.experiment.trials.count
     warnings = {str(warning): warning for arm in loaded.arms for warning in find_warnings(arm.spec)}
-    ui.tell(*(f"warning: {text}" for text in warnings))
+    ui.print_messages(*(f"warning: {warning_text}" for warning_text in warnings))
     fields = {
         "path": file,
         "ok": True,
@@ -334,7 +333,7 @@ def warm(
         print(f"{kernel_kinds}: {perf_counter() - began_s:.1f} s", flush=True)
     if verbose:
         _print_compile_times()
-    ui.tell(f"kept in {cache_folder()}")
+    ui.print_messages(f"kept in {cache_folder()}")
     return Exit.DONE
 
 

@@ -83,7 +83,7 @@ def stats(
         from tetractl.view.style import save
 
         save(batch_figure(comparison.groups), plot)
-        ui.tell(f"wrote {plot}")
+        ui.print_messages(f"wrote {plot}")
     return Exit.DONE if comparison.whole else Exit.FAILED
 
 
@@ -115,12 +115,12 @@ def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":
 
     described: list[BatchStatistics] = []
     for source in batches:
-        with ui.progress("Reading logs") as on_log:
+        with ui.show_progress("Reading logs") as on_log:
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
-                ui.tell(f"{trial.log} is damaged, and was read as far as possible")
-        ui.tell(*(f"damaged: {log.log}: {log.problem}" for log in batch.lost))
+                ui.print_messages(f"{trial.log} is damaged, and was read as far as possible")
+        ui.print_messages(*(f"damaged: {log.log}: {log.problem}" for log in batch.lost))
         if not batch.trials and not batch.attempts:
             raise LogError(f"{source.name}: none of its {len(batch.damaged)} logs can be read")
         described.append(describe(batch, source.name))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tetractl.run.task import Task
     from tetractl.study.load_study import LoadedStudy
 
-STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
+STOPPING_NOTICE = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
 """Printed by the handler of the first signal."""
 ARMS_NAMED = 4
 """Maximum number of arms that the notice of outdated trials names."""
@@ -87,21 +87,21 @@ def study(
         return Exit.DONE
     with store.opened():
         tasks, outdated = missing_trials.unfinished_tasks(loaded, store, rerun_outdated)
-        _tell_of_outdated(outdated)
+        _report_outdated(outdated)
         interrupted = _run_tasks(loaded, store, tasks, jobs, cluster, fail_fast, quiet)
         return _conclude(loaded, store, interrupted)
 
 
-def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
+def _report_outdated(outdated: Mapping[str, int]) -> None:
     """Print how many trials of each arm are kept although an older version of the code ran them."""
     if not outdated:
         return
     names = [f"{arm} ({count})" for arm, count in outdated.items()]
     unnamed = len(names) - ARMS_NAMED
-    more = f" and {unnamed} more arms" if unnamed > 0 else ""
-    ui.tell(
+    unnamed_note = f" and {unnamed} more arms" if unnamed > 0 else ""
+    ui.print_messages(
         f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
-        f" {', '.join(names[:ARMS_NAMED])}{more}; run them again with --rerun-outdated"
+        f" {', '.join(names[:ARMS_NAMED])}{unnamed_note}; run them again with --rerun-outdated"
     )
 
 
@@ -114,9 +114,10 @@ def _run_tasks(
     fail_fast: bool,
     quiet: bool,
 ) -> bool:
-    """Run the trials of a study with their progress on stderr.
+    """Run the trials of a study, and show their progress on stderr.
 
-    Return whether a signal stopped them.
+    Returns:
+        Whether a signal stopped the trials.
     """
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.cluster import Cluster
@@ -124,22 +125,22 @@ def _run_tasks(
     from tetractl.study.missing_trials import warm_up_arms
     from tetractl.view.terminal.progress import StudyProgress
 
-    interrupt = Interrupt(create_signal_notice(STOPPING))
+    interrupt = Interrupt(create_signal_notice(STOPPING_NOTICE))
     if cluster is not None:
-        chosen = Cluster(cluster, interrupt)
+        executor_context = Cluster(cluster, interrupt)
     else:
         if tasks:
             warm_up_arms(loaded, partial(ui.announce_compiling, quiet))
         processors = os.cpu_count() or 1
         if hasattr(os, "sched_getaffinity"):  # Linux only
             processors = len(os.sched_getaffinity(0))
-        chosen = nullcontext(local_executor(jobs or processors, len(tasks), interrupt))
+        executor_context = nullcontext(local_executor(jobs or processors, len(tasks), interrupt))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
-    with chosen as executor:
+    with executor_context as executor:
         if not quiet:
             arms = len(loaded.arms)
             count = loaded.study.trials.count
-            ui.tell(
+            ui.print_messages(
                 f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of "
                 f"{arms * count} to run, {executor.workers} at a time"
             )
@@ -167,16 +168,17 @@ def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
             paths += write_figures(loaded, store)
         print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
-    wanted = len(loaded.arms) * loaded.study.trials.count
-    lacking = wanted - len(finished)
+    trial_count = len(loaded.arms) * loaded.study.trials.count
+    missing_count = trial_count - len(finished)
     aborted = sum(not trial.outcome.complete for trial in finished)
     if aborted:
-        ui.tell(f"{aborted} trials aborted")
-    if lacking > 0:
-        ui.tell(
-            f"{lacking} of {wanted} trials are missing; to continue, run the same command again"
+        ui.print_messages(f"{aborted} trials aborted")
+    if missing_count > 0:
+        ui.print_messages(
+            f"{missing_count} of {trial_count} trials are missing; to continue, run the same "
+            "command again"
         )
     if interrupted:
-        ui.tell("interrupted")
+        ui.print_messages("interrupted")
         return Exit.INTERRUPTED
-    return Exit.FAILED if lacking > 0 or aborted else Exit.DONE
+    return Exit.FAILED if missing_count > 0 or aborted else Exit.DONE

@@ -69,14 +69,14 @@ def load_to_run(
         UsageError: If there are warnings, and `strict` is True.
     """
     from tetractl.spec.load import load_document
-    from tetractl.spec.plants import on_plant, settings_on
+    from tetractl.spec.plants import adapt_settings, select_plant
     from tetractl.spec.yaml.document import read_document
 
     document = read_document(spec)
     options = [value for value in values if value.value is not None]
-    loaded = load_document(document, [*settings_on(document, sets, plant), *options])
-    ui.warn(loaded, strict)
-    return on_plant(loaded, plant)
+    loaded = load_document(document, [*adapt_settings(document, sets, plant), *options])
+    ui.print_warnings(loaded, strict)
+    return select_plant(loaded, plant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +230,7 @@ def _serve_trials(name: str, port: int | None) -> "Iterator[Sequence[Observer]]"
 
     viewers = Viewers(name)
     with LoopbackServer(viewers, port) as server:
-        ui.tell(f"served at {server.url}")
+        ui.print_messages(f"served at {server.url}")
         yield [ServedRun(viewers, MonotonicClock())]
 
 
@@ -401,42 +401,47 @@ def _conclude(
     complete = error is None and not report.aborted and not interrupted
     if error is not None and not report.results:
         raise error
-    unwritten = None
+    statistics_error = None
     if report.results or not not_run:
-        unwritten = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
-    if unwritten is not None and not complete:  # of a complete run, it is the error
-        ui.tell(f"error: the statistics were not written: {unwritten.strerror or unwritten}")
-    rest = f"; {not_run} trials were not run" if not_run else ""
-    ui.tell(
-        f"logs are in {folder}{rest}; this command prints all figures: tetractl stats "
+        statistics_error = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
+    if statistics_error is not None and not complete:  # of a complete run, it is the error
+        ui.print_messages(
+            "error: the statistics were not written: "
+            f"{statistics_error.strerror or statistics_error}"
+        )
+    unrun_note = f"; {not_run} trials were not run" if not_run else ""
+    ui.print_messages(
+        f"logs are in {folder}{unrun_note}; this command prints all figures: tetractl stats "
         f"{quote(str(folder))} --full"
     )
     for (_, trial), result in report.aborted.items():  # last: it may name robots that still move
-        ui.tell(f"error: trial {trial + 1}: {result.reason}")
+        ui.print_messages(f"error: trial {trial + 1}: {result.reason}")
 
     if error is not None:
         raise error
     last_aborted = bool(report.results) and next(reversed(report.results)) in report.aborted
     if interrupted and not last_aborted:
-        go_on = f"to continue, run the same command again with --out {quote(str(folder))} --resume"
+        resume_hint = (
+            f"to continue, run the same command again with --out {quote(str(folder))} --resume"
+        )
         if in_lab and interrupt.terminated:
-            ui.tell(
+            ui.print_messages(
                 "interrupted by a signal. If the signal came from `tetractl lab stop`, the "
-                f"robots stay stopped until you switch each off and on; then, {go_on}"
+                f"robots stay stopped until you switch each off and on; then, {resume_hint}"
             )
         else:
-            ui.tell(f"interrupted; {go_on}")
+            ui.print_messages(f"interrupted; {resume_hint}")
         return Exit.INTERRUPTED
     aborts = report.aborted.values()
     if not_run and aborts and all(result.verdict.can_restart for result in aborts):
-        ui.tell("hint: with --keep-going, a batch goes on after an abort like this one")
+        ui.print_messages("hint: with --keep-going, a batch goes on after an abort like this one")
     if report.aborted or store.aborted:
         return Exit.FAILED
-    first = min((trial for _, trial in report.results), default=0)
-    first_log = log_path(folder, first)
-    ui.tell(f"look at one of them with: tetractl replay {quote(str(first_log))}")
-    if unwritten is not None:
-        raise unwritten
+    first_trial = min((trial for _, trial in report.results), default=0)
+    first_log = log_path(folder, first_trial)
+    ui.print_messages(f"look at one of them with: tetractl replay {quote(str(first_log))}")
+    if statistics_error is not None:
+        raise statistics_error
     return Exit.DONE
 
 
@@ -456,7 +461,7 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
             show(contrast([statistics]), "json" if as_json else "table")
     except KeyboardInterrupt:
         discard_unread_output()
-        ui.tell("the statistics were not computed")
+        ui.print_messages("the statistics were not computed")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass
     except OSError as error:

@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 # ---- What is read ----
 
 
-def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
+def load_spec_file(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
     """Load a spec from a file, with the values of `--set` applied."""
     from tetractl.spec.load import load_spec
 
     return load_spec(path, sets or [])
 
 
-def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ...]":
+def print_warnings(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ...]":
     """Print the warnings about a spec, and return them.
 
     Raises:
@@ -46,7 +46,7 @@ def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ..
     from tetractl.run.plausibility import find_warnings
 
     warnings = find_warnings(loaded)
-    tell(*(f"warning: {warning}" for warning in warnings))
+    print_messages(*(f"warning: {warning}" for warning in warnings))
     if strict and warnings:
         count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
         raise UsageError(
@@ -67,35 +67,35 @@ def open_trial(path: Path) -> "TrialLog":
 def warn_of_damage(path: str, damage: "Damage | None") -> None:
     """Print the problems and losses of a damaged log to stderr."""
     if damage:
-        tell(*(f"damaged: {path}: {problem}" for problem in damage.problems))
-        tell(*(f"lost: {path}: {loss}" for loss in damage.lost))
+        print_messages(*(f"damaged: {path}: {problem}" for problem in damage.problems))
+        print_messages(*(f"lost: {path}: {loss}" for loss in damage.lost))
 
 
 # ---- What is printed ----
 
 
-def tell(*lines: str) -> None:
-    """Print lines to stderr, after characters that are unsafe for a terminal are escaped."""
+def print_messages(*lines: str) -> None:
+    """Print lines to stderr. Characters that are unsafe for a terminal are escaped."""
     for line in lines:
         print(printable(line), file=sys.stderr, flush=True)
 
 
-def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
+def print_results(as_json: bool, json_object: object, tables: "Sequence[Table]") -> None:
     """Print the results of a command to stdout, as tables or as JSON.
 
     Args:
         as_json: Whether to print one JSON object instead of tables.
-        items: The object.
-        tables: The tables.
+        json_object: The results as data for JSON.
+        tables: The results as tables.
     """
     if as_json:
-        print(format_json(items))
+        print(format_json(json_object))
     else:
         print_tables(tables)
 
 
 @contextmanager
-def progress(description: str) -> "Iterator[Callable[[int, int | None], None]]":
+def show_progress(description: str) -> "Iterator[Callable[[int, int | None], None]]":
     """Show a progress bar on a terminal during the `with` block.
 
     The block gets the function that updates the bar, called with the number done and the total.
@@ -111,17 +111,17 @@ def progress(description: str) -> "Iterator[Callable[[int, int | None], None]]":
 def announce_compiling(quiet: bool, text: str) -> None:
     """Print on stderr that code is being compiled. If `quiet`, only where stderr is a terminal."""
     if not quiet or is_terminal(sys.stderr):
-        tell(text)
+        print_messages(text)
 
 
 # ---- What is written ----
 
 
 def refuse_existing(path: Path | None) -> None:
-    """Check that an output file does not exist yet, and that its folder does.
+    """Check that an output file does not exist yet, and that its folder exists.
 
     Raises:
-        UsageError: If not.
+        UsageError: If the file exists, or if its folder is missing.
     """
     if path is None:
         return
@@ -178,7 +178,9 @@ def build_rig_of(experiment: "Experiment", supervision: "LabSupervision | None" 
 
     lab = find_rig_section(experiment)
     seed = SeedSequence(experiment.trials.seed)
-    return lab.rig(experiment.setup, lab.clock(), seed, supervision, chosen=experiment.open)
+    return lab.rig(
+        experiment.setup, lab.clock(), seed, supervision, chosen=experiment.must_choose_robots
+    )
 
 
 def require_yes_or_terminal(yes: bool) -> None:

@@ -1,4 +1,4 @@
-"""Sets up stdout and stderr so that a slow or missing reader of the output delays no robot.
+"""Set up stdout and stderr so that a slow or missing reader of the output delays no robot.
 
 Printing a message raises no error, and handling a signal does not wait for a reader.
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 STDOUT = 1
 STDERR = 2
 READER_CHECK_MS = 200
-"""Time between two looks at whether a run has ended whose readers are watched."""
+"""Time between two checks of whether the readers or the run have ended [ms]."""
 CLOSED_EVENTS = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
-"""What `poll` says of a closed stream; Windows has no `poll`."""
+"""Events that `poll` reports for a closed stream. Windows has no `poll`."""
 
 
 class MessageStream(io.FileIO):
-    """The stream stderr, to which writing never fails.
+    """A stream to stderr on which writing never fails.
 
     Text that cannot be written, as on a closed terminal or a full disk, is lost.
 
@@ -87,23 +87,23 @@ def close_stdout() -> None:
         _discard_output(STDOUT)
 
 
-def write_at_once(text: bytes) -> None:
+def write_at_once(line: bytes) -> None:
     """Write a short line to stderr if it accepts text now. This is safe in a signal handler."""
     if _accepts_output(STDERR):
         with suppress(OSError):
-            os.write(STDERR, text)
+            os.write(STDERR, line)
 
 
-def create_signal_notice(text: bytes) -> Callable[[int], None]:
+def create_signal_notice(notice_text: bytes) -> Callable[[int], None]:
     """Return the function by which an `Interrupt` reports signals to the user.
 
-    The function prints `text` at the first signal, and never waits for a reader.
+    The function prints `notice_text` at the first signal, and never waits for a reader.
     """
 
     def notice(count: int) -> None:
         discard_unread_output()
         if count == 1:
-            write_at_once(text)
+            write_at_once(notice_text)
 
     return notice
 

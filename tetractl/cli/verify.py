@@ -22,13 +22,11 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
     compares the two logs record by record.
 
     If anything differs, it exits with 1 and names the first step and field that differ. If the
-    check
-    of a log would take too long, the log is "not checked to the end", and the command exits with 3.
-    Compilation does not count.
+    check of a log would take too long, the log is "not checked to the end", and the command exits
+    with 3. Compilation does not count.
 
     If another program has rewritten a log with the same messages, the log is ok, and the output
-    says
-    that it was rewritten.
+    says that it was rewritten.
 
     Example: tetractl verify logs/batch
     """
@@ -77,7 +75,7 @@ def recover(
     elif copy.path is None:
         print(printable(f"{log}: the log is complete, so there is nothing to recover"))
     else:
-        ui.tell(*(f"damaged: {problem}" for problem in copy.damage.problems))
+        ui.print_messages(*(f"damaged: {problem}" for problem in copy.damage.problems))
         records = f"{copy.chunks} chunks with {copy.messages} messages"
         print(printable(f"{copy.path}: {records}, {copy.attachments} attachments"))
         for lost in copy.damage.lost:

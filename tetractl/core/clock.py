@@ -5,9 +5,11 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-SECOND = 1_000_000_000  # ns
-MILLISECOND = 1_000_000  # ns
-NEVER = 2**62
+SECOND = 1_000_000_000
+"""A second [ns]."""
+MILLISECOND = 1_000_000
+"""A millisecond [ns]."""
+NEVER_NS = 2**62
 """A time after the end of every trial [ns]."""
 
 
@@ -22,7 +24,7 @@ def milliseconds(ns: int) -> float:
 
 
 class Clock(Protocol):
-    """A clock that starts at 0 when it is created."""
+    """A clock that counts nanoseconds from 0, starting when it is created."""
 
     def now(self) -> int:
         """Return the time since the clock was created [ns]."""
@@ -54,7 +56,8 @@ class VirtualClock:
 def host_ns() -> int:
     """Return the time [ns] on the host's monotonic clock, which runs while the computer sleeps.
 
-    After a sleep, data that waited therefore counts as old, and the missed decisions are noticed.
+    After such a sleep, data that waited therefore counts as old, and the run notices the decisions
+    that it missed.
     """
     if sys.platform == "linux":
         return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
@@ -82,7 +85,7 @@ class MonotonicClock:
 
 
 def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
-    """Compute when a transmission that is sent once a period is due next [ns].
+    """Compute when the next of several periodic transmissions is due [ns].
 
     The average rate stays constant. However, the next time is at least half a period and at most
     two periods after the last transmission.
@@ -98,7 +101,7 @@ def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
-    """Wait until a condition holds, and return whether it did before the timeout.
+    """Wait until a condition holds or a timeout passes, and return whether the condition held.
 
     In virtual time, the devices that use the clock advance during the wait. Tests therefore need no
     thread.
@@ -108,9 +111,9 @@ def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
         done: The condition. It is called every 2 ms.
         timeout_s: How long to wait [s].
     """
-    end = clock.now() + round(timeout_s * SECOND)
+    end_ns = clock.now() + round(timeout_s * SECOND)
     while not done():
-        if clock.now() >= end:
+        if clock.now() >= end_ns:
             return False
-        clock.sleep_until(min(end, clock.now() + 2 * MILLISECOND))
+        clock.sleep_until(min(end_ns, clock.now() + 2 * MILLISECOND))
     return True

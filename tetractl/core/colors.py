@@ -14,9 +14,9 @@ RED = "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
 """Colours of the robots.
 
-They are the colour-blind safe ones of Okabe and Ito (2008) without yellow and black, and two more.
+The first six are the colour-blind safe colours of Okabe and Ito (2008) without yellow and black.
 """
-NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
+NAMED_COLORS = {"green": GREEN, "blue": BLUE, "red": RED}
 """The paper's colours, which a robot gets by its name, in shades safe for colour-blind readers."""
 SLATES = ("#2B3A4A", "#7A8EA3", "#B3C0CC")
 """The colours of batches, from dark to light."""
@@ -29,7 +29,7 @@ ALARM = "#B00020"
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
-    """Choose a colour (#rrggbb) for each robot.
+    """Choose a colour (#rrggbb) in which figures show each robot.
 
     A robot gets the spec's colour, or else the colour it is named after, or else the next unused
     colour of the palette.
@@ -39,16 +39,16 @@ def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str
         colors: The spec's colour for each robot. None if the spec gives none.
     """
     chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
-    free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
-    unnamed = iter(range(len(chosen)))
-    return [color or free[next(unnamed) % len(free)] for color in chosen]
+    unused = [color for color in PALETTE if color not in chosen] or list(PALETTE)
+    free_indices = iter(range(len(chosen)))
+    return [color or unused[next(free_indices) % len(unused)] for color in chosen]
 
 
 def _own_color(name: str, color: str | None) -> str | None:
     if color is None:
-        return NAMED.get(name.lower())
-    if color in NAMED:
-        return NAMED[color]
+        return NAMED_COLORS.get(name.lower())
+    if color in NAMED_COLORS:
+        return NAMED_COLORS[color]
     if color.startswith("#"):
         return color.upper()
     return known_colors()[color]

@@ -10,8 +10,10 @@ from tetractl.core.poses import Floats
 class Steer:
     """An action: all robots drive and turn towards the common direction u [rad].
 
-    `lag_s` is the lag of the wheels that the host assumes, starting with this command [s]. If it
-    is None, the host keeps the lag that it has, at first the spec's.
+    Attributes:
+        direction: The common direction u [rad].
+        lag_s: Lag of the wheels that the host assumes, starting with this command [s]. None to keep
+            the lag that it assumed before, which is the spec's lag at first.
     """
 
     direction: float
@@ -35,7 +37,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class FieldOff:
-    """An action: the magnetic field is off, so that cells are not turned and swim straight on."""
+    """An action: the magnetic field is off. Cells do not turn, and swim straight on."""
 
 
 Action = Steer | Turn | Stop | FieldOff
@@ -44,10 +46,10 @@ Action = Steer | Turn | Stop | FieldOff
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An action, a direction or a stop, as it was sent to N robots at some time.
+    """The record of an action, such as a direction or a stop, that was sent to N robots.
 
     Attributes:
-        action: What the robots were to do.
+        action: The action that the robots were to perform.
         sent_ns: When it was sent, on the clock of the trial or run [ns].
         delivered: Whether each robot received it, as far as is known, N entries.
         left: Speeds of the left wheels in the paper's equation (24) [length unit/s], shape (N,),
@@ -68,24 +70,24 @@ class Command:
 
     @property
     def direction(self) -> float | None:
-        """The common direction u in which robots drive [rad].
+        """The common direction u in which the robots drive [rad].
 
-        None for a turn, a stop, or no field.
+        None if the action is a turn, a stop or a field that is off.
         """
         return self.action.direction if isinstance(self.action, Steer) else None
 
     @property
     def stops(self) -> bool:
-        """Whether no robot drives: the action is a stop or a turn on the spot."""
+        """Whether no robot drives, because the action is a stop or a turn on the spot."""
         return isinstance(self.action, Stop | Turn)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transmission(Command):
-    """A command as the actuator of a lab sent it.
+    """The record of a command that the actuator of a lab sent.
 
     The actuator sends an action repeatedly. A robot that is held still while others move counts as
-    one that did not receive the action.
+    a robot that did not receive the action.
 
     Attributes:
         speed: Commanded speed of each robot [length unit/s], shape (N,).

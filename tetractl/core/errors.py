@@ -1,7 +1,7 @@
 """Errors that a user can cause, their exit codes, and functions that make text safe to print.
 
-Every message is one line (plus an optional hint); the command line prints it without a
-traceback. Anything that is not a `TetractlError` is a bug in tetractl.
+Every message is one line, and can have a hint. The command line prints both without a traceback.
+Any other exception is a bug in tetractl.
 """
 
 import operator
@@ -30,9 +30,9 @@ class TetractlError(Exception):
 
     Args:
         message: What is wrong, in one line.
-        hint: What to do. None without a hint.
-        in_python: The hint in Python, where options of the command line do not exist. None if it
-            is the same.
+        hint: What to do. None if there is no hint.
+        in_python: The hint for users of the Python API, who have no options of the command line.
+            None if it is the same as `hint`.
     """
 
     exit = Exit.FAILED
@@ -47,9 +47,9 @@ class TetractlError(Exception):
         return f"{self.message}\nhint: {self.in_python}" if self.in_python else self.message
 
     def _render_traceback_(self) -> list[str]:
-        """Return the text that IPython prints instead of a traceback.
+        """Return the lines that IPython prints instead of a traceback.
 
-        That is the message, and the line of the user's code that called tetractl.
+        They contain the message, and the line of the user's code that called tetractl.
         """
         lines = [f"{type(self).__name__}: {self}"]
         package = str(Path(__file__).parents[1])
@@ -66,27 +66,27 @@ class UsageError(TetractlError):
     exit = Exit.USAGE
 
 
-def demand(value: object, kind: Any, words: str) -> None:
+def require_type(value: object, expected_type: Any, expectation: str) -> None:
     """Check that an argument of a call has the right type.
 
     Args:
         value: The argument.
-        kind: The type that it must have, or a union of types.
-        words: What is expected, as the start of the message.
+        expected_type: The type that it must have, or a union of types.
+        expectation: What is expected, as the start of the message.
 
     Raises:
         UsageError: If the value has another type.
     """
-    if not isinstance(value, kind):
-        raise UsageError(f"{words}, but the value given is of type {type(value).__name__}")
+    if not isinstance(value, expected_type):
+        raise UsageError(f"{expectation}, but the value given is of type {type(value).__name__}")
 
 
-def whole_number(value: object, what: str) -> int:
+def require_whole_number(value: object, description: str) -> int:
     """Convert a value to a whole number from 0, such as the index of a trial.
 
     Args:
         value: The value.
-        what: What the value is, as the start of the message.
+        description: What the value is, as the start of the message.
 
     Raises:
         UsageError: If the value is not a whole number, or is negative.
@@ -97,13 +97,14 @@ def whole_number(value: object, what: str) -> int:
         number = -1
     if number < 0:
         raise UsageError(
-            f"{what} must be a whole number of at least 0, but it is {printable(str(value), 40)}"
+            f"{description} must be a whole number of at least 0, but it is"
+            f" {printable(str(value), 40)}"
         )
     return number
 
 
 class SpecError(UsageError):
-    """A spec that cannot be run; the message has one `file:line:column` line per problem."""
+    """A spec has errors and cannot be run. The message has a `file:line:column` line per error."""
 
 
 class LogError(TetractlError):
@@ -132,7 +133,7 @@ class WrongValueError(TetractlError):
 
 
 class WireError(ValueError):
-    """Bytes that do not follow a wire format, or values that cannot be sent in it.
+    """Received bytes do not follow a wire format, or a value cannot be sent in the format.
 
     Receivers drop such bytes and count them. The parsers of `tetractl.lab` raise no other error.
     """
@@ -147,19 +148,22 @@ def printable(text: str, length: int | None = None) -> str:
     """
     printed = text if length is None else text[: length + 1]  # escaping never shortens a text
     if not printed.isprintable():
-        printed = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in printed)
+        printed = "".join(
+            character if character.isprintable() else ascii(character)[1:-1]
+            for character in printed
+        )
     if length is not None and len(printed) > length:
         return printed[: length - 3] + "..."
     return printed
 
 
-def unit_of(unit: str) -> str:
+def format_unit(unit: str) -> str:
     """Return a spec's length unit as people write it: "um" becomes "µm"."""
     return unit.replace("um", "µm")
 
 
-def text_of(error: BaseException) -> str:
-    """Return the class and the message of an exception in one line of at most 300 characters.
+def describe_error(error: BaseException) -> str:
+    """Describe an exception by its class and message, in one line of at most 300 characters.
 
     This also works if the creation of the exception's message raises an exception.
     """

@@ -1,4 +1,4 @@
-"""The protocol of checks by which the guard of a lab watches the robots."""
+"""The base class of the checks with which the guard of a lab watches the robots."""
 
 from collections.abc import Iterable, Sequence
 from typing import ClassVar, Protocol
@@ -8,7 +8,7 @@ from tetractl.core.poses import Pose
 
 
 class GuardCheck(Protocol):
-    """A check of what the robots in a lab do, which can warn or end a run.
+    """A check of the robots' motion in a lab, which can warn the operator or end a run.
 
     The section of an actuator names the checks for its robots. A check derives from this class and
     overrides the methods that it needs; the others find nothing. The guard calls the methods in
@@ -20,7 +20,7 @@ class GuardCheck(Protocol):
        new pose that the robot can have reached, or `check_repeat` if the pose equals the last one.
        Then `check_frame`, once the poses are accepted. Between two runs, the guard calls
        `check_pause` instead of `check_pose` and `check_repeat`.
-    4. `check_places` each time before the guard decides whether the robots may go on.
+    4. `check_places` each time before the guard decides whether the robots may continue.
 
     Findings take effect in the order in which they are yielded. Lengths are in the spec's length
     unit, times in ns.
@@ -40,10 +40,10 @@ class GuardCheck(Protocol):
     statistical: ClassVar[bool] = False
 
     def start(self) -> None:
-        """Forget everything from earlier runs: a run begins, with the robots standing still."""
+        """Forget all earlier runs, because a new run begins. The robots stand still."""
 
     def replace(self, robot: int) -> None:
-        """Forget a lost robot, because another body is tracked under its name from now on.
+        """Forget a lost robot, because another body is now tracked under its name.
 
         Args:
             robot: Index of the robot.
@@ -55,21 +55,25 @@ class GuardCheck(Protocol):
         """Record that an action was transmitted to the robots.
 
         Args:
-            now_ns: When it was sent.
+            now_ns: When the action was sent [ns].
             speed: Commanded speed of each robot [length unit/s], N entries.
             turning: Commanded turning rate of each robot [rad/s], N entries.
         """
 
     def record_exposures(self, times: tuple[int, ...]) -> None:
-        """Record the times at which the poses of a frame were measured [ns], N entries."""
+        """Record when the poses of a camera frame were measured.
+
+        Args:
+            times: Time of each pose [ns], N entries.
+        """
 
     def check_pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
-        """Check a new pose of a robot during a run, and return what is wrong with it.
+        """Check a new pose of a robot during a run, and yield the findings.
 
         Args:
             robot: Index of the robot.
-            before: Its last accepted pose.
-            pose: Its new pose, which is not accepted yet.
+            before: Last accepted pose of the robot.
+            pose: New pose of the robot, which is not accepted yet.
 
         Returns:
             The findings. Empty if nothing is wrong.
@@ -89,9 +93,9 @@ class GuardCheck(Protocol):
 
         Args:
             robot: Index of the robot.
-            before: Its last accepted pose.
-            pose: Its new pose.
-            now_ns: The current time.
+            before: Last accepted pose of the robot.
+            pose: New pose of the robot.
+            now_ns: The current time [ns].
         """
         return ()
 
@@ -101,8 +105,8 @@ class GuardCheck(Protocol):
         """Check all accepted poses of a frame during a run.
 
         Args:
-            now_ns: The current time.
-            times: When each pose was measured, N entries.
+            now_ns: The current time [ns].
+            times: When each pose was measured [ns], N entries.
             poses: Last accepted pose of each robot, N entries. None before the first.
         """
         return ()

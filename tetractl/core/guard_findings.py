@@ -1,4 +1,4 @@
-"""The findings that a check of the guard can report.
+"""The findings that the checks of a lab's guard can report.
 
 A finding refuses a robot's newest pose, declares a robot lost, warns the operator, or aborts the
 run.
@@ -11,14 +11,14 @@ from tetractl.core.poses import Pose
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A measured value that is beyond its limit, with the limit.
+    """A measured value that is beyond its limit, and the limit.
 
     Attributes:
         check: Name of the check or rule, such as "drift".
         value: The measured value, in `unit`.
-        limit: The limit, in `unit`. The value is above it, or below it if it is a minimum.
-        unit: Unit of both. Empty for a number without one.
-        robot: Index of the robot. None if the value concerns no robot, or all.
+        limit: The limit, in `unit`. The value is above a maximum, or below a minimum.
+        unit: Unit of the value and the limit. Empty for numbers without a unit.
+        robot: Index of the robot. None if the value concerns no single robot.
     """
 
     check: str
@@ -30,7 +30,7 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class Refuse:
-    """A finding: a robot's newest pose is refused, because the robot cannot have come there.
+    """A finding: a robot's newest pose is refused, because the robot cannot have reached it.
 
     Attributes:
         robot: Index of the robot.
@@ -45,7 +45,7 @@ class Refuse:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A finding: a robot moved between two runs, when no robot is commanded to move.
+    """A finding: a robot moved between two runs, although no robot was commanded to move.
 
     Attributes:
         robot: Index of the robot.
@@ -75,7 +75,7 @@ class Lose:
 
 @dataclass(frozen=True, slots=True)
 class Warn:
-    """A finding: the operator is warned once with the message `text`, and the run continues."""
+    """A finding: the guard warns the operator once with the message `text`. The run continues."""
 
     text: str
 
@@ -85,10 +85,11 @@ class Abort:
     """A finding of the guard's check: the run has to end at once.
 
     Attributes:
-        text: Why.
+        text: The reason.
         false: Indices of the robots whose poses can no longer be trusted.
         suspect: Index of the robot that seems to have failed. None if it is not a single robot. The
             guard then checks whether the camera, the radio or another robot was the cause.
+        excess: The measured value with its limit. None if there is none.
     """
 
     text: str
@@ -102,12 +103,12 @@ Finding = Refuse | Moved | Lose | Warn | Abort
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace:
-    """Where a robot is at the moment when the guard decides whether it may continue to move.
+    """The place of a robot at the moment when the guard decides whether it may continue to move.
 
     Attributes:
-        pose: Its pose. None if it is untracked. For a lost robot, its last pose.
+        pose: Pose of the robot. None if the robot is untracked. For a lost robot, its last pose.
         lost: Whether the robot is lost.
-        way: How far it may still drive before it can be stopped [length unit].
+        way: Distance that the robot may still drive before it can be stopped [length unit].
     """
 
     pose: Pose | None

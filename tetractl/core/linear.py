@@ -1,7 +1,8 @@
-"""Products and systems of small matrices, with the same bits on every processor.
+"""Products and linear systems of small matrices, with the same bits on every processor.
 
-(BLAS and LAPACK use different code on different processors.) Matrices are stacked as in NumPy: the
-last two axes of an array are rows and columns, and the axes before them broadcast.
+NumPy's own functions use BLAS and LAPACK, which run different code on different processors.
+Matrices are stacked as in NumPy: the last two axes of an array are rows and columns, and the axes
+before them broadcast.
 """
 
 import numpy as np
@@ -15,7 +16,7 @@ def product(a: Floats, b: Floats) -> Floats:
 
 
 def solve(a: Floats, b: Floats) -> Floats:
-    """Solve a x = b for symmetric, positive definite matrices.
+    """Solve the linear systems a x = b for symmetric, positive definite matrices a.
 
     Such matrices need no pivoting. For a singular matrix, the result is not finite.
 
@@ -26,17 +27,17 @@ def solve(a: Floats, b: Floats) -> Floats:
     Returns:
         The solutions x, shape (..., n, m).
     """
-    size = a.shape[-1]
+    row_count = a.shape[-1]
     shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
-    left = np.broadcast_to(a, (*shape, size, size))
-    right = np.broadcast_to(b, (*shape, *b.shape[-2:]))
-    rows = np.concatenate([left, right], axis=-1)
-    for k in range(size):
+    coefficients = np.broadcast_to(a, (*shape, row_count, row_count))
+    right_sides = np.broadcast_to(b, (*shape, *b.shape[-2:]))
+    rows = np.concatenate([coefficients, right_sides], axis=-1)
+    for k in range(row_count):
         rows[..., k, :] /= rows[..., k, k, None].copy()
         factors = rows[..., k].copy()
         factors[..., k] = 0.0
         rows -= factors[..., None] * rows[..., k, None, :].copy()
-    return rows[..., size:]
+    return rows[..., row_count:]
 
 
 def inverse(a: Floats) -> Floats:

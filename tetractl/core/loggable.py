@@ -1,8 +1,8 @@
-"""Check requirements on what a controller decides, so that it can be sent and logged.
+"""Check whether actions, plans and estimates can be sent to robots and written to a log.
 
 A controller from a plug-in may return anything, and a log that somebody else wrote may contain
-anything. Both are checked here. Each function raises ValueError with the first value that no trial
-can have.
+anything. This module checks both. Each `check_` function raises ValueError for the first value that
+no trial can have.
 """
 
 from collections.abc import Iterable
@@ -16,18 +16,19 @@ from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.plan import Plan, StopReason
 from tetractl.core.poses import Floats
 
-ESTIMATE_FIELDS = tuple(column.name for column in fields(Estimate) if column.compare)
+LOGGED_ESTIMATE_FIELDS = tuple(column.name for column in fields(Estimate) if column.compare)
 """The fields of an estimate that logs contain, in the order of the log's message."""
 STOP_REASON_MAX = 60
 """Maximum number of characters of the reason why a search stopped."""
 NUMBERS_MAX = 100
 """Maximum number of values that a controller may report in the `numbers` of one plan."""
 NUMBER_NAME_MAX = 60
-"""Maximum number of characters of the name of such a value."""
-DRAWN_BITS_CUT = 10
-"""Number of bits that `drawn` sets to 0, of the 24 bits of a single-precision fraction."""
-DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
-"""Maximum relative rounding error of `drawn`."""
+"""Maximum number of characters of a name in the `numbers` of a plan."""
+DRAWING_BITS_CUT = 10
+"""Number of bits that `round_for_drawing` sets to 0, of the 24 bits of a single-precision fraction.
+"""
+DRAWING_PRECISION = 2.0 ** (DRAWING_BITS_CUT - 24)
+"""Maximum relative rounding error of `round_for_drawing`."""
 
 
 def check_actions(actions: Iterable[Action]) -> None:
@@ -58,22 +59,23 @@ def check_plan(plan: Plan, robots: int) -> None:
         plan: The plan.
         robots: The number N of robots.
     """
-    count = plan.signals.size
-    if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
+    signal_count = plan.signals.size
+    if plan.signals.shape != (signal_count,) or plan.path.shape != (signal_count + 1, robots, 3):
         shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
         raise ValueError(f"a path has shape {shapes} and {robots} robots")
     searches = plan.searches
     for search in searches:
         if not (search.signals.shape == (search.length,) and search.length):
             raise ValueError(
-                f"a search of length {_shown(search.length)} has a different number of signals"
+                f"a search of length {_format_integer(search.length)} has a different number of "
+                "signals"
             )
         if search.history.ndim != 1 or not search.history.size:
             raise ValueError("a search has no history")
         if not isinstance(search.stopped, str):
-            wrong = type(search.stopped).__name__
+            type_name = type(search.stopped).__name__
             raise ValueError(
-                f"the field `stopped` of a search must be a string, but it is of type {wrong}"
+                f"the field `stopped` of a search must be a string, but it is of type {type_name}"
             )
     if len(plan.numbers) > NUMBERS_MAX:
         raise ValueError(
@@ -88,16 +90,16 @@ def check_plan(plan: Plan, robots: int) -> None:
             )
     costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
     costs += [search.cost for search in searches]
-    values = {
-        "a predicted position": drawn(plan.path[..., :2]).ravel(),
+    numbers_by_name = {
+        "a predicted position": round_for_drawing(plan.path[..., :2]).ravel(),
         "a signal": np.concatenate([plan.signals, *(search.signals for search in searches)]),
         "a cost": np.concatenate([costs, *(search.history for search in searches)]),
     }
-    values |= {f"the number {name}": [number] for name, number in plan.numbers.items()}
+    numbers_by_name |= {f"the number {name}": [number] for name, number in plan.numbers.items()}
     if plan.estimate is not None:
-        values |= _numbers_of_estimate(plan.estimate, robots)
-    for what, numbers in values.items():
-        require_finite(what, numbers)
+        numbers_by_name |= _numbers_of_estimate(plan.estimate, robots)
+    for name_of_numbers, numbers in numbers_by_name.items():
+        require_finite(name_of_numbers, numbers)
 
 
 def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
@@ -107,7 +109,7 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
         ValueError: If an array is not of N robots.
     """
     values: dict[str, Floats] = {}
-    for name in ESTIMATE_FIELDS:
+    for name in LOGGED_ESTIMATE_FIELDS:
         value = getattr(estimate, name)
         if value is None:
             continue
@@ -122,15 +124,15 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
 
 
 @np.errstate(all="ignore")  # numbers beyond single precision
-def drawn(values: Floats) -> Floats:
+def round_for_drawing(values: Floats) -> Floats:
     """Round numbers that are only used for drawing to 14 significant bits, in a new array.
 
     The zeros at the end take almost no space in a compressed log.
     """
-    half = 1 << (DRAWN_BITS_CUT - 1)
-    high_bits = -(1 << DRAWN_BITS_CUT)
-    bits = values.astype(np.float32).view(np.int32)
-    return ((bits + half) & high_bits).view(np.float32).astype(np.float64)
+    rounding_bit = 1 << (DRAWING_BITS_CUT - 1)
+    kept_bits_mask = -(1 << DRAWING_BITS_CUT)
+    float_bits = values.astype(np.float32).view(np.int32)
+    return ((float_bits + rounding_bit) & kept_bits_mask).view(np.float32).astype(np.float64)
 
 
 def stop_reason(text: str) -> StopReason | str:
@@ -146,13 +148,13 @@ def stop_reason(text: str) -> StopReason | str:
         return reason
 
 
-def require_finite(what: str, values: Iterable[float]) -> None:
-    """Raise ValueError if a value is infinite or NaN. The message begins with `what`."""
+def require_finite(description: str, values: Iterable[float]) -> None:
+    """Raise ValueError if a value is infinite or NaN. The message begins with `description`."""
     numbers = np.asarray(values, dtype=np.float64)
-    wrong = numbers[~np.isfinite(numbers)]
-    if wrong.size:
-        raise ValueError(f"{what} is {float(wrong.flat[0])!r}")
+    non_finite = numbers[~np.isfinite(numbers)]
+    if non_finite.size:
+        raise ValueError(f"{description} is {float(non_finite.flat[0])!r}")
 
 
-def _shown(number: int) -> str:
+def _format_integer(number: int) -> str:
     return str(number) if abs(number) < 10**20 else "a number of more than 20 digits"

@@ -1,7 +1,7 @@
 """The controller's estimate of how the robots move, which it learns while they move.
 
-The filters update the estimate at every control step (`tetractl.control.estimation.filter`). Plans
-use it, logs contain it, and the operator gets a message if something contradicts it.
+The filters (`tetractl.control.estimation.filter`) update the estimate at every control step. Plans
+use it, logs contain it, and the operator gets a message if the robots' motion contradicts it.
 """
 
 from collections.abc import Sequence
@@ -14,18 +14,22 @@ from tetractl.core.poses import Bools, Floats
 STANDS_PROBABILITY = 0.9
 """Probability above which a robot counts as standing still.
 
-In simulations, 170 of 176 robots that stuck at frame rates of 5 and 20 Hz reached it. Where ten
-images a second arrived 0.06 s late, 3 of 67 false alarms reached it (`benchmarks/unmodelled.py`:
-`sticking`, `sticking-5hz` and `slow-pictures`).
+In simulations, 170 of 176 robots that stuck at frame rates of 5 and 20 Hz reached this probability.
+If ten images a second arrived 0.06 s late, 3 of 67 false alarms reached it
+(`benchmarks/unmodelled.py`: `sticking`, `sticking-5hz` and `slow-pictures`).
 """
 
 INNOVATIONS = "along-track motion", "cross-track motion", "heading"
-"""What the columns of `Estimate.misfit` are about: motion along and across the course, heading."""
-OF_TURNING = INNOVATIONS[2:]
-OF_PLACES = INNOVATIONS[:2]
-"""The innovations of the position. OF_TURNING is the one that a turning rate determines."""
+"""The prediction errors in the columns of `Estimate.misfit`.
+
+They are the errors of the position along and across the course, and of the heading.
+"""
+TURNING_INNOVATIONS = INNOVATIONS[2:]
+"""The innovation of the heading, which depends on a robot's turning rate."""
+POSITION_INNOVATIONS = INNOVATIONS[:2]
+"""The innovations of the position."""
 LAG_ERROR_S = 0.02
-"""Minimum error of the spec's lag of the wheels that is reported [s].
+"""Minimum error of the spec's wheel lag that is reported to the operator [s].
 
 docs/decisions/plant.md shows what such an error costs.
 """
@@ -33,17 +37,18 @@ docs/decisions/plant.md shows what such an error costs.
 
 @dataclass(frozen=True, slots=True)
 class PredictionErrors:
-    """How far N robots have lately been from where the model predicted them.
+    """The recent differences between the measured and the predicted poses of N robots.
 
     Attributes:
-        ahead_s: Time over which they were predicted, at most [s].
+        ahead_s: Maximum time by which the poses were predicted in advance [s].
         mean: Mean deviations of a robot from its prediction, shape (N, 3), in the order of
             INNOVATIONS: ahead of it and to the left of it [length unit], and turned to the left of
             it [rad].
         rms: Root mean squares of the same deviations, shape (N, 3).
-        late_s: By how much a robot turns later than predicted [s], shape (N,). NaN if that does not
-            explain the deviations of its heading.
-        extra_turn: Fraction by which a robot turns more than predicted, shape (N,). NaN likewise.
+        late_s: By how much each robot turns later than predicted [s], shape (N,). NaN if a delay
+            does not explain the deviations of its heading.
+        extra_turn: Fraction by which each robot turns more than predicted, shape (N,). NaN if that
+            does not explain the deviations of its heading.
     """
 
     ahead_s: float
@@ -111,8 +116,8 @@ class Estimate:
         """
         return None if self.lag is None else float(self.lag.mean())
 
-    def standing(self, names: Sequence[str]) -> list[str]:
-        """List the names of robots that almost certainly stand still though they should drive.
+    def list_standing(self, names: Sequence[str]) -> list[str]:
+        """List the names of robots that almost certainly stand still although they should drive.
 
         The list is empty if `stands` is not estimated.
 
@@ -121,44 +126,51 @@ class Estimate:
         """
         probabilities = [] if self.stands is None else self.stands.tolist()
         return [
-            name for name, p in zip(names, probabilities, strict=False) if p > STANDS_PROBABILITY
+            name
+            for name, probability in zip(names, probabilities, strict=False)
+            if probability > STANDS_PROBABILITY
         ]
 
     @property
     def fits(self) -> bool:
-        """Whether the model explains all parts of the motion, or the fit is not tested."""
+        """Whether the model explains all parts of the motion. True if the fit is not tested."""
         return self.misfit is None or bool((self.misfit <= 1).all())
 
-    def unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
-        """List the parts of the motion that the model fails to explain, as "heading of red".
+    def list_unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
+        """List the parts of the motion that the model fails to explain, such as "heading of red".
 
-        If a part OF_TURNING is unexplained, a may be wrong by more than its standard deviation. If
-        a part OF_PLACES is unexplained, the standard deviations already include that error
-        (docs/decisions/filter.md). The result is empty if the fit is not tested.
+        If the heading is unexplained, the turning rate `a` may be wrong by more than its standard
+        deviation. If the position is unexplained, the standard deviations already include that
+        error (docs/decisions/filter.md). The result is empty if the fit is not tested.
 
         Args:
             names: Names of the robots.
-            parts: The parts to consider: OF_TURNING or OF_PLACES.
+            parts: The parts to consider: TURNING_INNOVATIONS or POSITION_INNOVATIONS.
         """
         if self.misfit is None:
             return set()
         unexplained: set[str] = set()
         for part in parts:
-            of_robots = self.misfit[:, INNOVATIONS.index(part)].tolist()
+            misfits = self.misfit[:, INNOVATIONS.index(part)].tolist()
             unexplained |= {
                 f"{part} of {name}"
-                for name, misfit in zip(names, of_robots, strict=True)
+                for name, misfit in zip(names, misfits, strict=True)
                 if misfit > 1
             }
         return unexplained
 
-    def only(self, chosen: Bools) -> "Estimate":
-        """Return the estimates of the robots for which `chosen` (N,) is true.
+    def select_robots(self, chosen: Bools) -> "Estimate":
+        """Return the estimate for some of the robots.
 
-        Quantities that are unknown, or are not per robot, stay as they are.
+        Quantities that are unknown, or common to all robots, stay as they are.
+
+        Args:
+            chosen: Which robots to keep, shape (N,).
         """
         if chosen.all():
             return self
         values = {quantity.name: getattr(self, quantity.name) for quantity in fields(self)}
-        chosen_values = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
+        chosen_values = {
+            name: value[chosen] for name, value in values.items() if isinstance(value, np.ndarray)
+        }
         return replace(self, **chosen_values)

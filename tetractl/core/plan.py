@@ -1,8 +1,8 @@
 """The records of planning in one control step, from the problem to the decision.
 
-In the order of this file: a `Problem`; the `Limits` of a search; one `Search` of the optimiser for
-each horizon; and the controller's `Decision`. The decision is a `Plan` made from the best search,
-or the `Outcome` of the trial.
+The optimiser solves a `Problem` within the `Limits` of a search. It leaves a record, a `Search`,
+for each horizon. The controller's `Decision` is a `Plan` made from the best search, or the
+`Outcome` of the trial.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ class Problem:
 
     Attributes:
         poses: Poses from which the prediction starts.
-        targets: Where the robots are to go, shape (N, 2).
+        targets: Positions to which the robots are to go, shape (N, 2).
         a: Turning rate of each robot [rad/s], shape (N,).
         speed: Speed of each robot [length unit/s], shape (N,).
         motion: Name of the motion model used for the prediction.
@@ -64,8 +64,8 @@ class Problem:
     side: Floats | None = None
     saturation: Floats | None = None
 
-    def only(self, chosen: Bools) -> "Problem":
-        """Return the same problem for some of the robots.
+    def select_robots(self, chosen: Bools) -> "Problem":
+        """Return the planning problem for some of the robots.
 
         Args:
             chosen: Which robots to keep, shape (N,).
@@ -73,7 +73,7 @@ class Problem:
         if chosen.all():
             return self
 
-        def of_chosen(values: Floats | None) -> Floats | None:
+        def select(values: Floats | None) -> Floats | None:
             return None if values is None else values[chosen]
 
         return replace(
@@ -82,21 +82,21 @@ class Problem:
             targets=self.targets[chosen],
             a=self.a[chosen],
             speed=self.speed[chosen],
-            bias=of_chosen(self.bias),
-            flow=of_chosen(self.flow),
-            side=of_chosen(self.side),
-            saturation=of_chosen(self.saturation),
+            bias=select(self.bias),
+            flow=select(self.flow),
+            side=select(self.side),
+            saturation=select(self.saturation),
         )
 
     @property
     def drift(self) -> Floats:
-        """The bias and the flow for compiled code, shape (4, N).
+        """The bias and the flow of each robot in one array, for compiled code, shape (4, N).
 
         The rows are cos(bias), sin(bias), x of the flow and y of the flow.
         """
-        none = np.zeros(len(self.a))
-        bias = none if self.bias is None else self.bias
-        flow = (none, none) if self.flow is None else self.flow.T
+        zeros = np.zeros(len(self.a))
+        bias = zeros if self.bias is None else self.bias
+        flow = (zeros, zeros) if self.flow is None else self.flow.T
         return np.array([elementwise.cos(bias), elementwise.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
@@ -104,8 +104,8 @@ class Problem:
         return self.first_period + (length - 1) * self.period
 
 
-def never(evaluations: int) -> bool:
-    """Return False: by default, the deadline of a search never passes."""
+def never_expires(evaluations: int) -> bool:
+    """Return False, because by default a search has no deadline. See `Limits.expired`."""
     return False
 
 
@@ -120,7 +120,7 @@ class Limits:
     """
 
     evaluations: int | None = None
-    expired: Callable[[int], bool] = never
+    expired: Callable[[int], bool] = never_expires
 
     @property
     def timed(self) -> bool:
@@ -128,7 +128,7 @@ class Limits:
 
         A maximum number of evaluations is not a deadline.
         """
-        return self.expired is not never
+        return self.expired is not never_expires
 
     def allow(self, evaluations: int) -> bool:
         """Decide whether a search may use this many evaluations in total."""
@@ -136,7 +136,7 @@ class Limits:
 
 
 class StopReason(StrEnum):
-    """Why an optimiser's search ended. The value is the text in a log."""
+    """The reasons why an optimiser's search ends. The value is the string in a log."""
 
     CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
     ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
@@ -155,7 +155,7 @@ class Search:
         signals: The best sequence found [rad], shape (length,).
         cost: Its cost J, equation (7).
         history: Cost J(u_gb) of the best sequence after each iteration, shape (iterations + 1,).
-            `history[0]` is the cost before the first iteration (the paper's Figure 3).
+            `history[0]` is the cost before the first iteration. See the paper's Figure 3.
         evaluations: Number of cost evaluations.
         stopped: Why the search ended. It is a plain string if a log of another version of tetractl
             gives a reason that StopReason lacks.
@@ -170,7 +170,7 @@ class Search:
 
 
 class State(StrEnum):
-    """What the robots do in a control step, such as driving or standing still (`RESTING`).
+    """The states of robots in a control step, such as driving or standing still (`RESTING`).
 
     The value is the string in a log.
     """
@@ -230,7 +230,7 @@ class Plan:
 
     @property
     def action(self) -> Action:
-        """The action that this step sends: `instead`, or else the direction `signals[0]`."""
+        """The action of this control step: `instead`, or else the direction `signals[0]`."""
         lag_s = None if self.estimate is None else self.estimate.common_lag
         return self.instead or Steer(float(self.signals[0]), lag_s)
 
@@ -255,11 +255,11 @@ class Plan:
         return sum(search.evaluations for search in self.searches)
 
     def extend_to_all(self, present: Bools, poses: Poses) -> "Plan":
-        """Return the plan with a path of all N robots, instead of only those that are present.
+        """Return the plan with a path for all N robots, instead of only those that are present.
 
         Args:
-            present: Which robots the plan is for, shape (N,).
-            poses: Poses of all robots. The lost ones stay there in the plan's path.
+            present: Which robots the plan was made for, shape (N,).
+            poses: Poses of all robots. In the plan's path, lost robots stay at these poses.
         """
         if present.all():
             return self
@@ -269,7 +269,7 @@ class Plan:
 
 
 class Outcome(StrEnum):
-    """How a trial ended, for example by arrival, at the time limit or by an abort."""
+    """The outcomes of a trial, such as arrival, the time limit or an abort."""
 
     ARRIVED = "arrived"  # at their targets
     SEQUENCE_COMPLETED = "sequence completed"  # every signal was sent
@@ -283,7 +283,7 @@ class Outcome(StrEnum):
     def complete(self) -> bool:
         """Whether the controller ended the trial, so that the trial's error counts.
 
-        This is not so after an interruption or an abort.
+        False after an interruption or an abort.
         """
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
 
@@ -297,7 +297,7 @@ class End:
 
 
 Decision = Plan | Outcome | End
-"""What a controller decides in a control step.
+"""The decision of a controller in a control step: a plan, or the end of the trial.
 
-It is a plan, or the end of the trial: an Outcome ends the trial at once, an End after a delay.
+An Outcome ends the trial at once. An End ends it after a delay.
 """

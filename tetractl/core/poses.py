@@ -2,10 +2,10 @@
 
     Pose           position and heading of one robot
     Poses          the same for N robots, in arrays
-    Sight          how precisely a camera measures poses
-    CameraFrame    what a camera of the lab shows at one instant; robots may be missing
-    Observation    what a controller receives from a frame; a missing robot has its last pose
-    Sample         what a log keeps of a frame: the observation, true poses in a simulation, and
+    Sight          the precision and the frame rate of a camera
+    CameraFrame    the poses in one frame of a lab's camera; robots may be missing
+    Observation    the poses that a controller receives; a missing robot has its last pose
+    Sample         the record of a frame in a log: the observation, true poses in a simulation, and
                    messages
     FrameAddition  messages that a camera adds to its frames
     Frames         the frames of a trial, or of a part of it, in arrays
@@ -28,20 +28,22 @@ from tetractl.core.elementary import hypot
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
-Times = Integers  # [ns]
-Grey = NDArray[np.uint8]  # a picture (height, width)
+Times = Integers
+"""Times [ns]."""
+GreyImage = NDArray[np.uint8]
+"""An image in shades of grey, shape (height, width)."""
 
 POSE_MAX = 1e9
 """Maximum absolute value of coordinates [length unit] and headings [rad] that a log can hold."""
-CAMERA = "/camera/"
-"""Beginning of the topics on which a camera adds messages to its frames.
+CAMERA_TOPICS = "/camera/"
+"""Prefix of the log topics on which a camera adds messages to its frames.
 
 Such messages are logged unchanged, and nothing depends on them.
 """
-PICTURE = f"{CAMERA}picture"
-"""Topic of the images of a camera, as `CompressedImage` of Foxglove."""
-BACKGROUND = f"{CAMERA}background"
-"""Topic of the images of an empty scene, with which a camera compares the others."""
+PICTURE_TOPIC = f"{CAMERA_TOPICS}picture"
+"""Log topic of a camera's images, in the message type `CompressedImage` of Foxglove."""
+BACKGROUND_TOPIC = f"{CAMERA_TOPICS}background"
+"""Log topic of the images of the empty scene, with which a camera compares its other images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,7 @@ class Pose:
     tilt: float | None = None
 
     def distance_to(self, other: "Pose") -> float:
-        """Return the distance between the positions of two poses [length unit]."""
+        """Compute the distance between the positions of two poses [length unit]."""
         return hypot(self.x - other.x, self.y - other.y)
 
 
@@ -103,20 +105,27 @@ class Poses:
         return np.array([self.x, self.y]).T
 
     def distances(self, points: Floats) -> Floats:
-        """Return the distances (N,) of the robots to `points` (N, 2), one point for each robot."""
+        """Compute the distance of each robot to its own point [length unit], shape (N,).
+
+        Args:
+            points: x and y of one point for each robot, shape (N, 2).
+        """
         return elementwise.hypot(self.x - points[:, 0], self.y - points[:, 1])
 
 
 def wrap(angles: Floats) -> Floats:
-    """Return angles [rad] wrapped into [-pi, pi]. NaN stays NaN."""
+    """Wrap angles [rad] into the range from -pi to pi. NaN stays NaN."""
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
-def turn_problem(angle: float) -> tuple[str, str] | None:
-    """Describe what is wrong with an angle of more than a whole turn, which is probably in degrees.
+def describe_excess_angle(angle: float) -> tuple[str, str] | None:
+    """Describe the problem of an angle of more than a whole turn, which is probably in degrees.
+
+    Args:
+        angle: The angle [rad].
 
     Returns:
-        The problem and a hint. None if the angle [rad] is not larger than a whole turn.
+        The problem and a hint. None if the angle is not larger than a whole turn.
     """
     if not abs(angle) > 2 * math.pi:
         return None
@@ -173,10 +182,10 @@ class CameraFrame:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """How precisely, and how often, a camera measures robots. 0 means unknown.
+    """The precision and the frame rate with which a camera measures robots. 0 means unknown.
 
-    A camera may measure on a grid, as robots do that read a printed mat. The deviations are then
-    those without the grid.
+    A camera may measure on a grid, for example if robots read their positions from a printed mat.
+    The standard deviations then do not include the error of the grid.
 
     Attributes:
         grid_mm: Step of measured positions [mm].
@@ -193,8 +202,8 @@ class Sight:
     rate_hz: float = 0.0
 
     @property
-    def coarse(self) -> bool:
-        """Whether the camera measures on a grid, so that the pose of a moving robot may repeat."""
+    def has_grid(self) -> bool:
+        """Whether the camera measures on a grid. The pose of a moving robot may then repeat."""
         return self.grid_mm > 0 or self.grid_rad > 0
 
     @property
@@ -215,17 +224,21 @@ class Sight:
         return self.grid_rad / 2 + 4 * self.noise_rad
 
     @property
-    def spread(self) -> tuple[float, float, float]:
+    def pose_std(self) -> tuple[float, float, float]:
         """Standard deviations of x, y [mm] and heading [rad] that noise and the grid cause.
 
         The error of a grid is uniform, so its variance is a twelfth of the step squared.
         """
-        mm = hypot(self.noise_mm, self.grid_mm / math.sqrt(12))
-        return mm, mm, hypot(self.noise_rad, self.grid_rad / math.sqrt(12))
+        position_std_mm = hypot(self.noise_mm, self.grid_mm / math.sqrt(12))
+        return (
+            position_std_mm,
+            position_std_mm,
+            hypot(self.noise_rad, self.grid_rad / math.sqrt(12)),
+        )
 
 
-UNSTATED = Sight()
-"""The `Sight` of a camera about which nothing is known."""
+UNKNOWN_SIGHT = Sight()
+"""The `Sight` of a camera whose precision and rate are unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +270,7 @@ class Observation:
 
     @property
     def seconds(self) -> Floats:
-        """The time at which each pose was measured, on the trial's clock [s], shape (N,)."""
+        """The times at which the poses were measured, on the trial's clock [s], shape (N,)."""
         times = self.exposed_ns or (self.sampled_ns,) * len(self.valid)
         return np.array(times) / SECOND
 
@@ -315,14 +328,18 @@ class Frames(NamedTuple):
 
     @classmethod
     def from_samples(cls, samples: Sequence[Sample], robots: int) -> "Frames":
-        """Convert samples to arrays.
+        """Convert samples of frames to arrays.
 
         `truth` is None unless every sample has true poses. If there are no samples, `truth` is an
-        empty array, so that `joined` does not treat it as unknown.
+        empty array, so that `join` does not treat it as unknown.
+
+        Args:
+            samples: The samples, in order.
+            robots: The number N of robots.
         """
         observations = [sample.observation for sample in samples]
         truths = [sample.truth for sample in samples if sample.truth is not None]
-        all_known = len(truths) == len(samples)
+        has_all_truths = len(truths) == len(samples)
         exposed_ns = [
             observation.exposed_ns or (observation.sampled_ns,) * robots
             for observation in observations
@@ -334,20 +351,23 @@ class Frames(NamedTuple):
             received_ns=_to_integers([observation.received_ns for observation in observations]),
             poses=_stack_poses([observation.poses for observation in observations], robots),
             valid=np.array(valid, dtype=np.bool_).reshape(-1, robots),
-            truth=_stack_poses(truths, robots) if all_known else None,
+            truth=_stack_poses(truths, robots) if has_all_truths else None,
             exposed_ns=_to_integers(exposed_ns).reshape(-1, robots),
         )
 
     @classmethod
-    def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Join several parts in order. `truth` is None if any part has no true poses."""
+    def join(cls, parts: Sequence["Frames"]) -> "Frames":
+        """Join the frames of several parts of a trial, in order.
+
+        `truth` is None if any part has no true poses.
+        """
         columns: list[Any] = []
-        for of_parts in zip(*parts, strict=True):
-            all_known = all(column is not None for column in of_parts)
-            columns.append(np.concatenate(of_parts) if all_known else None)
+        for part_columns in zip(*parts, strict=True):
+            is_known = all(column is not None for column in part_columns)
+            columns.append(np.concatenate(part_columns) if is_known else None)
         return cls(*columns)
 
-    def part(self, rows: slice | Integers) -> "Frames":
+    def select(self, rows: slice | Integers) -> "Frames":
         """Return the frames in the given rows: a slice, or an array of indices."""
         columns: list[Any] = [None if column is None else column[rows] for column in self]
         return Frames(*columns)

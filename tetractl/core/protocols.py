@@ -50,7 +50,7 @@ class Plant(Protocol):
     def samples(self) -> list[Sample]:
         """Return every camera frame since the last call, oldest first.
 
-        Empty if there is none.
+        The list is empty if there is no new frame.
         """
         ...
 
@@ -71,7 +71,7 @@ class Plant(Protocol):
         ...
 
     def settle(self) -> Verdict:
-        """Wait until the robots stand still after `stop`, and return how the trial ended."""
+        """Wait until the robots stand still after `stop`, and measure how the trial ended."""
         ...
 
     def close(self) -> None:
@@ -201,23 +201,23 @@ class Actuator(Device, Protocol):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Steer all robots towards one direction, or let them turn on the spot.
+        """Steer all robots towards one common direction, or let them turn on the spot.
 
         Args:
             action: The common direction to steer in, or the direction to turn to.
             poses: Newest pose of each robot at the time `exposed_ns`, N entries. None if a robot is
                 untracked. The commands sent since then have already been used to bring an older
                 pose to that time.
-            moving: Whether each robot may move, N entries. Robots that may not are held still. If
-                the guard's checks stop robots `together`, all entries are True.
+            moving: Whether each robot may move, N entries. The actuator holds all other robots
+                still. If the guard's checks stop robots `together`, all entries are True.
             exposed_ns: The time of the poses [ns].
 
         Returns:
-            What was really sent.
+            The command that was really sent.
 
         Raises:
-            AbortError: If the device does not accept the command, or for a `Turn` of robots that
-                cannot stand still (see `halts`).
+            AbortError: If the device does not accept the command, or if the action is a `Turn` and
+                the robots cannot stand still (see `halts`).
         """
         ...
 
@@ -228,7 +228,7 @@ class Actuator(Device, Protocol):
             emergency: Whether to latch the stop, if the device can do that.
 
         Returns:
-            What was really sent.
+            The command that was really sent.
         """
         ...
 
@@ -264,15 +264,15 @@ class Optimizer(Protocol):
         The same arguments give the same result, to the bit.
 
         Args:
-            problem: What to minimise: the robots, their targets and the obstacles.
+            problem: The planning problem: the robots, their targets and the obstacles.
             length: Number of signals in the sequence.
-            warm: A sequence to start from [rad], shape (length,). None if there is none. It is not
-                changed.
-            key: Determines all random numbers of the search.
-            limits: When the search has to end early.
+            warm: Warm start: a sequence to start from [rad], shape (length,). The search must not
+                change it. None if there is none.
+            key: Key that determines all random numbers of the search.
+            limits: Limits at which the search has to end early.
 
         Returns:
-            The best sequence found, and how the search went.
+            The record of the search, with the best sequence found.
 
         Raises:
             ControlError: If a cost is not finite.
@@ -343,13 +343,13 @@ class Observer(Protocol):
 
 
 class PlacementPrompt(Protocol):
-    """A way to ask a person to put the robots on their starts."""
+    """A prompt that asks a person to place the robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Show what still prevents the start.
+        """Show the problems that still prevent the start.
 
-        This method is called repeatedly while robots are placed. By letting the robots start, the
-        operator answers yes to all questions.
+        This method is called repeatedly while robots are placed. If the operator lets the robots
+        start, this counts as yes to all questions.
 
         Args:
             lines: The problems, one line each. Empty if all robots are ready.
@@ -358,21 +358,21 @@ class PlacementPrompt(Protocol):
         ...
 
     def go(self) -> bool:
-        """Return whether the operator has let the robots start. It is called repeatedly."""
+        """Check whether the operator has let the robots start. It is called repeatedly."""
         ...
 
 
 @dataclass(slots=True)
 class LabSupervision:
-    """How people supervise a run in the lab, by the emergency stop and by placing robots.
+    """The means by which people supervise a run in the lab: emergency stop and placing of robots.
 
     Attributes:
-        emergency: Setting this event triggers the emergency stop.
-        prompt: How to ask a person to place the robots. If None, nobody is asked, and the run ends
-            if the robots are not on their starts within the spec's `placing` time.
-        cancelled: Returns whether the operator has cancelled the wait.
-        signalled: An emulated lab calls it to ask the trial to end, as a signal would.
-        fail_log: An emulated lab calls it to make the log's disk fail with an error.
+        emergency: Event that triggers the emergency stop when it is set.
+        prompt: Prompt that asks a person to place the robots. If None, nobody is asked, and the run
+            ends if the robots are not on their starts within the spec's `placing` time.
+        cancelled: Function that returns whether the operator has cancelled the wait.
+        signalled: Function that an emulated lab calls to end the trial, as a signal would.
+        fail_log: Function that an emulated lab calls to make the log's disk fail with an error.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)

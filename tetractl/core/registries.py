@@ -196,4 +196,4 @@ def all_registries() -> list[Registry]:
 
     A registry of another package is left out if it cannot be loaded.
     """
-    return [*REGISTRIES, *Registry("tetractl.registries", {}).usable().values()]
+    return [*REGISTRIES, *Registry("tetractl.registries", {}).load_usable().values()]

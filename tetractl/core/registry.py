@@ -1,4 +1,4 @@
-"""Registries of kinds: objects that a spec names by `type`, from tetractl and other packages."""
+"""Registries of kinds, the objects of tetractl and other packages that a spec names by `type`."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -14,17 +14,17 @@ from tetractl.core.errors import UsageError
 
 
 class PluginError(UsageError):
-    """An error: a kind, such as a camera, that another package provides cannot be used."""
+    """A kind that another package provides, such as a camera, cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of an interface, such as one of the optimisers.
+    """An entry of a registry, such as one of the optimisers.
 
     Attributes:
         name: The name by which a spec chooses the kind.
-        code: Where its object is: "module:attribute".
-        package: The package that provides it. Empty for a built-in kind.
+        code: Where the kind's object is defined, as "module:attribute".
+        package: The package that provides the kind. Empty for a built-in kind.
         version: The version of that package. Empty for a built-in kind.
     """
 
@@ -45,8 +45,8 @@ class Registry:
     when its kind is loaded.
 
     Args:
-        group: The group of the entry points: "tetractl." and the plural name of the interface. Its
-            singular is the attribute `what`.
+        group: The group of the entry points: "tetractl." and the plural name of the interface. The
+            attribute `what` is the singular name, for messages.
         builtin: The "module:attribute" of each built-in kind, by name.
         base: The "module:attribute" of the class from which every kind is derived. Empty if kinds
             are not classes.
@@ -59,18 +59,18 @@ class Registry:
         self.what = group.removeprefix("tetractl.").removesuffix("s").replace("_", " ")
 
     def names(self) -> tuple[str, ...]:
-        """Return the names of all kinds: first the built-in ones, then the others by alphabet."""
+        """List the names of all kinds: first the built-in names, then the others by alphabet."""
         return (*self.builtin, *sorted(self._installed.keys() - self.builtin.keys()))
 
     def kinds(self) -> tuple[Kind, ...]:
-        """Return all kinds, the built-in ones first, without loading any."""
+        """List all kinds without loading any, the built-in kinds first."""
         return tuple(map(self.kind, self.names()))
 
     def kind(self, name: str) -> Kind:
-        """Return the entry of the kind that has this name.
+        """Return the registry's entry for a name.
 
         Raises:
-            KeyError: If there is none.
+            KeyError: If no kind has this name.
         """
         if name in self.builtin:
             return Kind(name, self.builtin[name])
@@ -89,20 +89,20 @@ class Registry:
         """
         if name in self.builtin:
             return _builtin(self.builtin[name])
-        point = self._installed[name]
+        entry_point = self._installed[name]
         try:
-            loaded = point.load()
+            loaded = entry_point.load()
         except Exception as error:  # a module of another package may raise anything
-            text = str(error).partition("\n")[0]
-            raise self.unusable(name, f"{type(error).__name__}: {text}") from error
+            message = str(error).partition("\n")[0]
+            raise self.create_unusable_error(name, f"{type(error).__name__}: {message}") from error
         if self.base and not (
             isinstance(loaded, type) and issubclass(loaded, resolve_name(self.base))
         ):
-            raise self.unusable(name, f"the object is not a subclass of {self.base}")
+            raise self.create_unusable_error(name, f"the object is not a subclass of {self.base}")
         return loaded
 
-    def usable(self) -> dict[str, Any]:
-        """Load the objects of all kinds, as {name: object}.
+    def load_usable(self) -> dict[str, Any]:
+        """Load the objects of all kinds that can be used, and return {name: object}.
 
         Kinds of other packages that cannot be loaded (PluginError) are left out.
         """
@@ -112,30 +112,30 @@ class Registry:
                 objects[name] = self.load(name)
         return objects
 
-    def unusable(self, name: str, why: str) -> PluginError:
-        """Create the error that explains why another package's object cannot be used.
+    def create_unusable_error(self, name: str, reason: str) -> PluginError:
+        """Create the error which says that the object of another package cannot be used.
 
         Args:
             name: The name of the kind.
-            why: The reason, as the end of a sentence.
+            reason: The reason, as the end of a sentence.
         """
-        point = self._installed[name]
-        package, version = _package(point)
-        where = f"{point.name} = {point.value} of {self.group}"
+        entry_point = self._installed[name]
+        package, version = _package(entry_point)
+        declaration = f"{entry_point.name} = {entry_point.value} of {self.group}"
         return PluginError(
-            f"{package} {version}: the {self.what} '{point.name}' cannot be used: {why}",
-            f"the package's entry point is '{where}'; update or uninstall the package",
+            f"{package} {version}: the {self.what} '{entry_point.name}' cannot be used: {reason}",
+            f"the package's entry point is '{declaration}'; update or uninstall the package",
         )
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        points = sorted(entry_points(group=self.group), key=_package, reverse=True)
+        by_precedence = sorted(entry_points(group=self.group), key=_package, reverse=True)
         # if two packages provide the same name, the alphabetically first is used
-        return {point.name: point for point in points}
+        return {point.name: point for point in by_precedence}
 
     @cached_property
     def _packages(self) -> dict[str, tuple[str, str]]:
-        """Name and version of the package of each installed kind.
+        """The name and version of the package that provides each installed kind.
 
         They are read only once, because after a plug-in's error, the loop that stops robots asks
         for them at every step.
@@ -146,25 +146,29 @@ class Registry:
 _builtin = cache(resolve_name)  # controllers load the motion several times in a control step
 
 
-def _package(point: EntryPoint) -> tuple[str, str]:
+def _package(entry_point: EntryPoint) -> tuple[str, str]:
     """Return the name and the version of the package that declares an entry point.
 
-    They are "unknown" and "" if the package is not known.
+    If the package is unknown, they are "unknown" and "".
     """
-    return (point.dist.name, point.dist.version) if point.dist else ("unknown", "")
+    return (
+        (entry_point.dist.name, entry_point.dist.version) if entry_point.dist else ("unknown", "")
+    )
 
 
-def package_files(package: str) -> Iterator[Path]:
+def find_package_files(package: str) -> Iterator[Path]:
     """Yield the Python files of a package that extends tetractl, without importing anything.
 
     Yields nothing if the package is not installed, or declares no entry points of tetractl.
     """
     modules = list[str]()
     with suppress(PackageNotFoundError):
-        points = distribution(package).entry_points
-        modules += [point.module for point in points if point.group.startswith("tetractl.")]
-    for top in dict.fromkeys(module.partition(".")[0] for module in modules):
-        spec = find_spec(top)
+        declared_points = distribution(package).entry_points
+        modules += [
+            point.module for point in declared_points if point.group.startswith("tetractl.")
+        ]
+    for top_module in dict.fromkeys(module.partition(".")[0] for module in modules):
+        spec = find_spec(top_module)
         if spec is not None and spec.submodule_search_locations:
             for folder in spec.submodule_search_locations:
                 yield from Path(folder).rglob("*.py")

@@ -4,7 +4,7 @@ A step has three parts in the robot's own axes: the distance along its heading, 
 it (positive to the left), and the angle that it turned (positive anticlockwise). A step that was
 fitted to many poses also has the variance of each part.
 
-    step = RobotStep.fitted(times_s, places)
+    step = RobotStep.fit(times_s, places)
     step.motion / step.std                     each part of the motion in standard deviations
 
 Lengths are in the caller's unit, angles in rad, times in ns.
@@ -19,10 +19,10 @@ from tetractl.core import elementary
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 
-PARTS = ("along its heading", "sideways", "around")
-"""Names of the three parts, as messages use them."""
-EXACT = np.zeros(3)
-"""The variance of a step between two poses: 0, because its noise is not known to the step."""
+PART_NAMES = ("along its heading", "sideways", "around")
+"""Names of the three parts of a step, as messages use them."""
+ZERO_VARIANCE = np.zeros(3)
+"""The variance of a step between two poses. It is 0, because the poses have no stated noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +30,13 @@ class RobotStep:
     """The motion of a robot from one time to another, in its own axes.
 
     Attributes:
-        motion: Shape (3,): along, across [length unit], turned [rad].
-        variance: Shape (3,): the variance of each part.
-        dt_ns: Duration [ns]. 0 if it does not matter.
+        motion: Distance along the heading and across it [length unit], and angle turned [rad],
+            shape (3,).
+        variance: Variance of each part of `motion`, shape (3,).
+        dt_ns: Duration of the step [ns]. 0 if it does not matter.
         until_ns: When the step ended [ns].
         robot: Index of the robot.
-        before: The pose at which the step began. None if it was not one pose.
+        start_pose: The pose at which the step began. None if the step was fitted to many poses.
     """
 
     motion: Floats
@@ -43,13 +44,13 @@ class RobotStep:
     dt_ns: int = 0
     until_ns: int = 0
     robot: int = 0
-    before: Pose | None = None
+    start_pose: Pose | None = None
 
     @classmethod
-    def between(
+    def from_poses(
         cls,
-        before: Pose,
-        pose: Pose,
+        start_pose: Pose,
+        end_pose: Pose,
         *,
         dt_ns: int = 0,
         until_ns: int = 0,
@@ -57,51 +58,54 @@ class RobotStep:
     ) -> "RobotStep":
         """Compute the step between two poses, as if the robot drove on an arc.
 
-        `along` is the length of the arc, `across` the displacement across the heading halfway. The
-        displacement along the heading halfway is the chord of the arc: sin(h) / h of its length,
-        where h is half the angle turned. If the robot turned by more than half a turn, as may
-        happen in a long gap, `turned` is the shorter rotation to the same heading, which is wrong.
+        The distance along is the length of the arc. The distance across is the displacement across
+        the robot's heading halfway. The displacement along the heading halfway is the chord of the
+        arc, whose length is sin(h) / h of the arc's length, where h is half the angle turned. The
+        angle turned is the shorter rotation to the later heading. It is wrong if the robot turned
+        by more than half a turn, which may happen in a long gap between poses.
 
         Args:
-            before: The earlier pose.
-            pose: The later pose.
+            start_pose: The earlier pose.
+            end_pose: The later pose.
             dt_ns: Time between the poses [ns].
             until_ns: Time of the later pose [ns].
             robot: Index of the robot.
         """
-        turned = math.remainder(pose.heading - before.heading, math.tau)
-        middle = before.heading + turned / 2
-        dx = pose.x - before.x
-        dy = pose.y - before.y
-        cosine = elementary.cos(middle)
-        sine = elementary.sin(middle)
+        turned_rad = math.remainder(end_pose.heading - start_pose.heading, math.tau)
+        halfway_rad = start_pose.heading + turned_rad / 2
+        dx = end_pose.x - start_pose.x
+        dy = end_pose.y - start_pose.y
+        cosine = elementary.cos(halfway_rad)
+        sine = elementary.sin(halfway_rad)
         along = dx * cosine + dy * sine
         across = dy * cosine - dx * sine
-        half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
-        chord = elementary.sin(half) / half if half else 1.0
-        motion = np.array([along / chord, across, turned])
-        return cls(motion, EXACT, dt_ns, until_ns, robot, before)
+        half_turn_rad = math.pi * (
+            turned_rad / math.tau
+        )  # in this order, as numpy.sinc did for earlier logs
+        chord_ratio = elementary.sin(half_turn_rad) / half_turn_rad if half_turn_rad else 1.0
+        motion = np.array([along / chord_ratio, across, turned_rad])
+        return cls(motion, ZERO_VARIANCE, dt_ns, until_ns, robot, start_pose)
 
     @classmethod
-    def fitted(cls, times_s: Floats, places: Floats) -> "RobotStep":
+    def fit(cls, times_s: Floats, places: Floats) -> "RobotStep":
         """Fit straight lines to many poses over time, and return the step of one second.
 
         Args:
             times_s: Times, shape (n,) [s]. At least three.
-            places: x, y [length unit] and heading [rad, not wrapped], shape (n, 3).
+            places: x, y [length unit] and unwrapped heading [rad] at each time, shape (n, 3).
 
         Returns:
-            A step along and across the x axis. Its variance follows from the scatter of the places
-            about the lines.
+            A step along and across the x axis. Its variance follows from the deviations of the
+            poses from the lines.
         """
         centred_s = times_s - times_s.mean()
-        spread = np.square(centred_s).sum()
-        slope = np.einsum("n,nk->k", centred_s, places) / spread
+        sum_of_squares = np.square(centred_s).sum()
+        slope = np.einsum("n,nk->k", centred_s, places) / sum_of_squares
         residuals = places - places.mean(axis=0) - centred_s[:, None] * slope
-        variance = np.square(residuals).sum(axis=0) / (len(times_s) - 2) / spread
+        variance = np.square(residuals).sum(axis=0) / (len(times_s) - 2) / sum_of_squares
         return cls(slope, variance, dt_ns=SECOND)
 
     @property
     def std(self) -> Floats:
-        """The standard deviations of distance along, distance across and angle, shape (3,)."""
+        """The standard deviations of the three parts of `motion`, shape (3,)."""
         return np.sqrt(self.variance)

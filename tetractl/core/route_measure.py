@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.losses import Losses, LossRule
+from tetractl.core.losses import LossRule, LossTracker
 from tetractl.core.poses import Bools, Floats, Observation, Sample
 
 
@@ -24,7 +24,8 @@ class HoldTask:
 class RouteMeasure:
     """A measurement of how accurately N robots pass their way-points and hold at their targets.
 
-    For each control step, call `step` with its leg and observation, then `add` with its frames.
+    For each control step, call `record_step` with its leg and observation, then `add_samples` with
+    its camera frames.
 
     Args:
         legs: The M way-points of each robot and then its target [length unit], shape (M + 1, N, 2).
@@ -36,8 +37,8 @@ class RouteMeasure:
     def __init__(
         self, legs: Floats, hold: HoldTask | None, loss: LossRule | None, speed: Floats
     ) -> None:
-        self.losses = Losses(loss, speed)
-        """Which robots were lost so far, and which are dead."""
+        self.losses = LossTracker(loss, speed)
+        """The tracker of which robots are lost and which are dead."""
         self._legs = legs
         self._hold = hold
         self._leg = 0
@@ -47,35 +48,35 @@ class RouteMeasure:
         self._hold_frames = 0
         """Number of camera frames since the hold began."""
         self._frames_inside = np.zeros(legs.shape[1], dtype=np.int64)
-        """Number of these frames in which each robot was within the hold's radius, shape (N,)."""
+        """Number of `_hold_frames` in which each robot was within the hold's radius, shape (N,)."""
 
-    def step(self, leg: int, observation: Observation) -> str:
-        """Record the leg of a control step, and return a message if a new leg begins.
+    def record_step(self, leg: int, observation: Observation) -> str:
+        """Record the leg of a control step, and describe a new leg for the operator.
 
         Args:
-            leg: Number of way-points passed; one more than there are way-points during the hold.
-            observation: The observation of the step.
+            leg: Number of way-points passed. During the hold, one more than there are way-points.
+            observation: The observation of the control step.
 
         Returns:
             The message for the operator. Empty if no new leg begins.
         """
-        way_points = len(self._legs) - 1
-        for way_point in self._legs[self._leg : min(leg, way_points)]:
+        way_point_count = len(self._legs) - 1
+        for way_point in self._legs[self._leg : min(leg, way_point_count)]:
             distances = observation.poses.distances(way_point)
             self._passed.append(float(distances.sum()))
-        begins = leg > self._leg
+        begins_leg = leg > self._leg
         self._leg = leg
         if leg == len(self._legs) and self._hold_began_ns is None:
             self._hold_began_ns = observation.sampled_ns
             return "the robots have arrived and hold"
-        return f"way-point {leg} of {way_points} is passed" if begins else ""
+        return f"way-point {leg} of {way_point_count} is passed" if begins_leg else ""
 
-    def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
+    def add_samples(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
         """Add the camera frames that arrived in a control step.
 
         Args:
             samples: The frames.
-            until_ns: Frames after this time are ignored [ns]. None to use all.
+            until_ns: Time after which frames are ignored [ns]. None to use all frames.
         """
         for sample in samples:
             if until_ns and sample.observation.sampled_ns > until_ns:
@@ -107,15 +108,15 @@ class RouteMeasure:
         return tuple(self._passed)
 
     @property
-    def stood(self) -> Bools:
-        """Which robots are dead but were not counted as lost for it, shape (N,)."""
+    def dead_not_lost(self) -> Bools:
+        """Which robots are dead but do not count as lost, shape (N,)."""
         return self.losses.dead & self.losses.present
 
     @property
     def lost(self) -> tuple[int, ...]:
         """How often each robot was lost, N entries. Empty if no robot was lost."""
-        times = self.losses.times
-        return tuple(times.tolist()) if times.any() else ()
+        loss_counts = self.losses.loss_counts
+        return tuple(loss_counts.tolist()) if loss_counts.any() else ()
 
     @property
     def inside(self) -> tuple[float, ...]:

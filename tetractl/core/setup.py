@@ -1,6 +1,6 @@
 """The constants of an experiment, the bounds of its arena, and the length units.
 
-Only `Experiment.setup` makes a `Setup`.
+Only `Experiment.setup` creates a `Setup`.
 """
 
 import math
@@ -11,18 +11,26 @@ import numpy as np
 
 from tetractl.core import elementwise
 from tetractl.core.losses import LossRule
-from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
+from tetractl.core.poses import UNKNOWN_SIGHT, Floats, Poses, Sight
 from tetractl.core.route_measure import HoldTask
 from tetractl.core.shape import Shape
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """The length of each unit that a spec can declare [m]."""
-MM = METRES["mm"]  # a millimetre [m]
+MILLIMETRE_M = METRES["mm"]
+"""A millimetre [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned rectangle, such as the arena, including its edge [length unit]."""
+    """An axis-aligned rectangle, such as the arena, including its edge.
+
+    Attributes:
+        left: Minimum x [length unit].
+        bottom: Minimum y [length unit].
+        right: Maximum x [length unit].
+        top: Maximum y [length unit].
+    """
 
     left: float
     bottom: float
@@ -77,7 +85,8 @@ class Setup:
         period_s: Control period [s].
         time_limit_s: Maximum time from the first command to the end [s].
         iterations_max: Maximum number of iterations of one search.
-        wheel_radius: Distance from a wheel to the robot's centre. None for robots without wheels.
+        wheel_radius: Distance from a wheel to the robot's centre [length unit]. None for robots
+            without wheels.
         way_points: Points that all robots pass together before the targets, shape (M, N, 2).
         hold: The task at the targets. None if the trial ends there.
         loss: The rule by which a robot counts as lost, and whether the trial then goes on without
@@ -85,8 +94,8 @@ class Setup:
             a robot lost.
         watchdog_s: Time without a command after which a robot stops [s]. inf if it never stops.
         lag_s: Time constant with which wheels follow a command [s].
-        body_radius: Radius of every robot. 0 for points.
-        sight: What the plant's camera can see.
+        body_radius: Radius of every robot [length unit]. 0 if robots are points.
+        sight: Precision and frame rate of the plant's camera.
         strength: Strength of the field at which robots turn at the rates `a`, in `strength_unit`.
             None if it is not stated.
     """
@@ -112,7 +121,7 @@ class Setup:
     watchdog_s: float = math.inf
     lag_s: float = 0.0
     body_radius: float = 0.0
-    sight: Sight = UNSTATED
+    sight: Sight = UNKNOWN_SIGHT
     strength: float | None = None
     strength_unit: str = "mT"
 
@@ -123,13 +132,17 @@ class Setup:
 
     @property
     def legs(self) -> Floats:
-        """The way-points, then the targets of each robot [length unit], shape (M + 1, N, 2)."""
+        """The way-points of each robot, then its target [length unit], shape (M + 1, N, 2)."""
         return np.concatenate(
             [self.way_points.reshape(-1, *self.targets.shape), self.targets[None]]
         )
 
-    def only(self, robots: Sequence[int]) -> "Setup":
-        """Return the setup for some of the robots, given by their indices."""
+    def select_robots(self, robots: Sequence[int]) -> "Setup":
+        """Return the setup for some of the robots.
+
+        Args:
+            robots: Indices of the robots to keep.
+        """
         rows = list(robots)
         return replace(
             self,
@@ -143,6 +156,10 @@ class Setup:
         )
 
     def distances(self, xy: Floats) -> Floats:
-        """Return the distances of positions (..., N, 2) to the targets, (..., N) [length unit]."""
-        off = xy - self.targets
-        return elementwise.hypot(off[..., 0], off[..., 1])
+        """Compute the distances of robots to their targets [length unit], shape (..., N).
+
+        Args:
+            xy: Positions of the robots [length unit], shape (..., N, 2).
+        """
+        offsets = xy - self.targets
+        return elementwise.hypot(offsets[..., 0], offsets[..., 1])

@@ -15,24 +15,27 @@ from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sam
 from tetractl.core.route_measure import RouteMeasure
 from tetractl.core.setup import Setup
 
-# time at which all simulated trials start, so that their logs can be reproduced: 2020-01-01 UTC
-EPOCH_NS = 1_577_836_800_000_000_000
+SIMULATED_START_NS = 1_577_836_800_000_000_000
+"""Start of all simulated trials, 2020-01-01 UTC, so that their logs can be reproduced [Unix ns]."""
 
-OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
+RESERVED_FILE_NAMES = frozenset(
+    {"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"}
+)
 """Names of the files that tetractl attaches to every log.
 
-No file that a spec names may have them.
+A spec must not name a file that has one of these names.
 """
-HALTS = "halts"
-"""Key in `PlantInfo.facts`: "yes" if a lab's robots stand still after a stop, otherwise "no"."""
+HALTS_FACT = "halts"
+"""Key in `PlantInfo.facts`. Its value is "yes" if a lab's robots stand still after a stop, or "no".
+"""
 EMULATED_PLANT = "emulated"
 """Type of the plant that emulates a lab in virtual time."""
-EMULATED_DEVICES = "emulated"
+EMULATED_DEVICES_FACT = "emulated"
 """Key in `PlantInfo.facts` for the names of the emulated devices, such as "camera"."""
-REAL_DEVICE = "real"
+REAL_DEVICE_FACT = "real"
 """Key in `PlantInfo.facts` for the real device of the plant `emulated`.
 
-Absent if it has none.
+The key is absent if all devices are emulated.
 """
 
 
@@ -40,14 +43,14 @@ Absent if it has none.
 class PlantInfo:
     """A description of the robots of a trial, simulated or real, from the opened plant.
 
-    The fact HALTS of a lab is "yes" if its robots stand still after a stop, otherwise "no". The
-    fact EMULATED_DEVICES names the lab's devices that are not real, such as "camera".
+    The fact HALTS_FACT of a lab is "yes" if its robots stand still after a stop, otherwise "no".
+    The fact EMULATED_DEVICES_FACT names the lab's emulated devices, such as "camera".
 
     Attributes:
         kind: Type of the plant.
-        simulated: Whether it is a simulation.
-        camera_rate_hz: Frame rate of its camera [Hz].
-        facts: Facts that the log's metadata hold.
+        simulated: Whether the plant is a simulation.
+        camera_rate_hz: Frame rate of the plant's camera [Hz].
+        facts: Facts about the plant for the log's metadata, by key.
     """
 
     kind: str
@@ -59,10 +62,10 @@ class PlantInfo:
     def virtual(self) -> bool:
         """Whether the trial ran in virtual time.
 
-        Simulations do, and the plant `emulated` without a real device.
+        This applies to simulations, and to the plant `emulated` unless it has a real device.
         """
         if self.kind == EMULATED_PLANT:
-            return REAL_DEVICE not in self.facts
+            return REAL_DEVICE_FACT not in self.facts
         return self.simulated
 
 
@@ -71,7 +74,7 @@ class Note:
     """A message for the operator, with its time in the trial.
 
     Attributes:
-        t_ns: When it was sent [ns].
+        t_ns: When the message was sent, on the trial's clock [ns].
         level: "info", "warning", "error" or "debug". A debug note is one line of an exception's
             traceback, and only the log contains it.
         text: The message.
@@ -84,7 +87,7 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict on a trial of N robots, measured on the finest samples of their paths.
+    """The plant's verdict on a trial of N robots, measured on the finest samples of their paths.
 
     Distances are in the spec's length unit, between the centres of robots. The methods can take a
     body `radius` into account.
@@ -126,8 +129,8 @@ class Verdict:
         The positions are NaN, no robot entered an obstacle, and another trial cannot start by
         itself.
         """
-        nowhere = Poses.from_array(np.full((robots, 3), np.nan))
-        return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
+        unknown_poses = Poses.from_array(np.full((robots, 3), np.nan))
+        return cls(unknown_poses, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return for each robot whether it entered an obstacle, N entries.
@@ -165,37 +168,37 @@ class Start:
         spec_name: Name of the spec's file.
         resolved: The spec as YAML with all fields, including defaults and `--set`.
         spec_hash: SHA-256 of the spec's values, as 64 hex digits.
-        seed: Seed of the trials.
-        trial: Index of the trial.
+        seed: Seed of all random numbers of the batch.
+        trial: Index of the trial in the batch, from 0.
         plant: Description of the plant.
-        start_unix_ns: Time of the start [Unix ns].
-        attached: Name and text of further files.
+        start_unix_ns: Time at which the trial's clock is 0 [Unix ns]. SIMULATED_START_NS in a
+            simulation.
+        attached: Name and text of each further file that the spec names.
         packages: Name and version of the packages, other than tetractl, that provide a kind used by
             the spec.
     """
 
     setup: Setup = field(repr=False)
-    spec_text: str = field(repr=False)  # as written
-    spec_name: str  # file name of the spec
+    spec_text: str = field(repr=False)
+    spec_name: str
     resolved: str = field(repr=False)
     spec_hash: str
-    seed: int  # seed of all random numbers of the batch
-    trial: int  # index in the batch, from 0
+    seed: int
+    trial: int
     plant: PlantInfo
-    start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation
-    # name and text of files that the spec names
+    start_unix_ns: int
     attached: tuple[tuple[str, str], ...] = field(default=(), repr=False)
     packages: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The record of one control step: what the controller saw, planned and sent.
+    """The record of one control step: the observation, the plan and the command.
 
     Attributes:
-        k: Number of the step, from 0.
-        observation: The observation.
-        plan: The plan.
+        k: Number of the control step, from 0.
+        observation: The camera frame that the controller received.
+        plan: The controller's plan.
         command: The command that was sent.
         solve_ns: Wall time of planning [ns]. It differs from run to run.
         deadline_missed: Whether planning took longer than the control period. It differs from run
@@ -216,14 +219,14 @@ class Result:
 
     Attributes:
         outcome: How the trial ended.
-        reason: Why, as a sentence. Empty if the outcome says it all.
+        reason: Why the trial ended, as a sentence. Empty if the outcome says enough.
         steps: Number of control steps.
-        duration_s: Time from the first direction sent to the stop [s]. If none was sent, time since
-            the plant was opened.
+        duration_s: Time from the first direction sent to the stop [s]. If no direction was sent,
+            time since the plant was opened.
         total_error: Sum of `robot_errors` [length unit].
         robot_errors: Distance of each robot's final position to its target [length unit], N
             entries.
-        verdict: What the plant measured.
+        verdict: Measurements of the plant.
         solve_ns: Wall time that the controller needed in each control step [ns]. It differs from
             run to run, even with the same seed.
         deadline_misses: Number of steps in which the controller took longer than the control
@@ -233,8 +236,9 @@ class Result:
         inside: Fraction of a hold's time that each robot was near its target, as `RouteMeasure`
             defines it. Empty without a hold.
         lost: How often each robot was lost. Empty if no robot was.
-        wheel_lag_s: Lag of the wheels that the controller has found [s], the mean of the robots.
-            None if it does not estimate the lag.
+        wheel_lag_s: Lag of the wheels that the controller has estimated [s], the mean of all
+        robots.
+            None if the controller does not estimate it.
 
     To add a number, add a field here and compute it in `from_verdict` from the arguments of its
     callers (`run/control_loop.py`, and `verification/result_check.py`, which checks it). A number
@@ -279,9 +283,9 @@ class Result:
 
         Args:
             setup: The constants of the experiment.
-            verdict: What the plant measured.
+            verdict: Measurements of the plant.
             outcome: How the trial ended.
-            reason: Why, as a sentence. Empty if the outcome says it all.
+            reason: Why the trial ended, as a sentence. Empty if the outcome says enough.
             duration_s: Time from the first direction sent to the stop [s].
             solve_ns: Wall time of the controller in each control step [ns].
             deadline_misses: Number of steps that took longer than the control period.
@@ -311,7 +315,7 @@ class Result:
     def summary(self) -> str:
         """The result as a sentence: outcome, reason and number of steps.
 
-        The last message of a log.
+        This is the last message of a log.
         """
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
@@ -344,7 +348,7 @@ class TrialRecords:
     Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad.
 
     Attributes:
-        start: What was known at the start.
+        start: The record of the start.
         frames: Number of each camera frame, shape (M,).
         mocap_ns: Time of exposure of each frame, shape (M,).
         received_ns: When each frame reached the host, shape (M,).
@@ -378,9 +382,9 @@ class TrialRecords:
         stops = [command.sent_ns for command in self.commands if command.stops]
         measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
         for step in self.steps:
-            measure.step(step.plan.leg, step.observation)
+            measure.record_step(step.plan.leg, step.observation)
         samples = map(self.sample, range(len(self.frames)))
-        measure.add(samples, until_ns=max(stops, default=None))
+        measure.add_samples(samples, until_ns=max(stops, default=None))
         return measure
 
     def sample(self, i: int) -> Sample:

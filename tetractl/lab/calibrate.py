@@ -155,7 +155,7 @@ def calibrate_robots(
         report(f"{name}: measuring")
         offset_before = lab.camera.heading_offset(name)
         limits = lab.limits.model_copy(update={"wheel_error": UNKNOWN_WHEEL_ERROR})
-        rig = make_rig(limits, setup.only([setup.names.index(name)]))
+        rig = make_rig(limits, setup.select_robots([setup.names.index(name)]))
         bench = _CalibrationBench(section, rig, offset_before or 0.0, limit)
         try:
             bench.open()

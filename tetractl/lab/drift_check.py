@@ -37,7 +37,7 @@ from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Abort, Excess
 from tetractl.core.linear import inverse, product, solve
 from tetractl.core.poses import Floats, Pose
-from tetractl.core.robot_step import EXACT, PARTS, RobotStep
+from tetractl.core.robot_step import PART_NAMES, ZERO_VARIANCE, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
@@ -196,8 +196,8 @@ class DriftCheck(GuardCheck):
         self._motion = motion
         self._radius = rules.wheel_radius * rules.mm_per_unit
         # variance of a step between two poses: along, across, around
-        self._pose_variance = 2 * np.square(elementwise.hypot(POSE_NOISE, rules.sight.spread))
-        self._is_coarse = rules.sight.coarse
+        self._pose_variance = 2 * np.square(elementwise.hypot(POSE_NOISE, rules.sight.pose_std))
+        self._is_coarse = rules.sight.has_grid
         self.commands = CommandHistory(2, n_robots)  # speeds [mm/s] and turning rates [rad/s]
         self.worst_statistic = 0.0
         self.block_count = 0
@@ -340,7 +340,7 @@ class DriftCheck(GuardCheck):
         variance = self._pose_variance
         for earlier, later in pairwise(poses):
             dt_ns = later.exposed_ns - earlier.exposed_ns
-            step = RobotStep.between(
+            step = RobotStep.from_poses(
                 earlier.pose, later.pose, dt_ns=dt_ns, until_ns=later.exposed_ns, robot=i
             )
             step_columns, step_variance = self._build_columns(
@@ -402,7 +402,7 @@ class DriftCheck(GuardCheck):
         columns[:, around, DriftColumn.taps_around] = delay_effects[:, :, 1]
         columns[:, :, DriftColumn.velocity] = np.eye(3) * dt_s[:, None, None]
         columns[:, :2, DriftColumn.image] = self._compute_image_motion(
-            [block.before for block in blocks], dt_s
+            [block.start_pose for block in blocks], dt_s
         )
         columns[:, around, DriftColumn.image.start + 2] = dt_s
         command_spread = np.ptp(commanded_at_taps[:, :COMPARED_DELAYS], axis=1)
@@ -528,7 +528,7 @@ class DriftCheck(GuardCheck):
                 all_robots = range(len(self._names))
                 return Abort(DRIFT_TOGETHER, tuple(all_robots), excess=excess)
         strongest = int((pulls[worst_moment, i] * velocity[worst_moment, i]).argmax())
-        message = f"{self._names[i]} {MOVES_UNEXPLAINED.format(PARTS[strongest])}"
+        message = f"{self._names[i]} {MOVES_UNEXPLAINED.format(PART_NAMES[strongest])}"
         return Abort(message, (i,), suspect=i, excess=replace(excess, robot=i))
 
     def _compute_changes(
@@ -598,7 +598,7 @@ class DriftCheck(GuardCheck):
             *_, heading_is_wrong = is_beyond[i]
             excess = Excess("wheels", float(sure_errors[i].max()), self._wheel_error_max, robot=i)
             if heading_is_wrong:
-                return Abort(f"{name} {MOVES_UNEXPLAINED.format(PARTS[1])}", excess=excess)
+                return Abort(f"{name} {MOVES_UNEXPLAINED.format(PART_NAMES[1])}", excess=excess)
             left_error, right_error, _ = errors[i]
             return Abort(WRONG_WHEELS.format(name, left_error, right_error), excess=excess)
         return None
@@ -618,5 +618,5 @@ def pair_measured_poses(
         if start is not None and end is not None and end.exposed_ns > start.exposed_ns:
             motion = end.travelled - start.travelled
             dt_ns = end.exposed_ns - start.exposed_ns
-            blocks.append(RobotStep(motion, EXACT, dt_ns, end.exposed_ns, i, start.pose))
+            blocks.append(RobotStep(motion, ZERO_VARIANCE, dt_ns, end.exposed_ns, i, start.pose))
     return blocks

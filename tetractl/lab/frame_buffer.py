@@ -5,7 +5,7 @@ from collections import deque
 from itertools import islice
 
 from tetractl.lab.frames import AcceptedFrame
-from tetractl.tools.worker import WAITING_MAX
+from tetractl.tools.worker import QUEUE_MAX
 
 
 class FrameBuffer:
@@ -17,7 +17,7 @@ class FrameBuffer:
     def __init__(self) -> None:
         self.newest: AcceptedFrame | None = None
         self.count = 0  # number of frames appended so far
-        self._frames: deque[AcceptedFrame] = deque(maxlen=WAITING_MAX)
+        self._frames: deque[AcceptedFrame] = deque(maxlen=QUEUE_MAX)
         self._lock = threading.Lock()
 
     def append(self, frame: AcceptedFrame) -> None:

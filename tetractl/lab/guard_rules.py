@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Self
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import UNSTATED, Sight
-from tetractl.core.setup import MM, Bounds, Setup
+from tetractl.core.poses import UNKNOWN_SIGHT, Sight
+from tetractl.core.setup import MILLIMETRE_M, Bounds, Setup
 from tetractl.core.shape import Shape
 from tetractl.spec.lab_section import LabLimits
 
@@ -43,12 +43,12 @@ class GuardRules:
     silence_ns: int = 2 * SECOND
     wheel_radius: float = 0.0
     may_lose_robots: bool = False
-    sight: Sight = UNSTATED
+    sight: Sight = UNKNOWN_SIGHT
 
     @classmethod
     def from_setup(cls, setup: Setup, limits: LabLimits) -> Self:
         """Create the rules for a setup, with lengths in the spec's length unit."""
-        per_mm = MM / setup.metres
+        per_mm = MILLIMETRE_M / setup.metres
         silence_s = setup.period_s * (limits.late_steps + 1)
         return cls(
             names=setup.names,
@@ -60,7 +60,7 @@ class GuardRules:
             mm_per_unit=1 / per_mm,
             silence_ns=round(max(silence_s, SILENCE_MIN_S) * SECOND),
             wheel_radius=setup.wheel_radius or 0.0,
-            may_lose_robots=setup.loss is not None and not setup.loss.ends,
+            may_lose_robots=setup.loss is not None and not setup.loss.ends_trial,
             sight=setup.sight,
         )
 

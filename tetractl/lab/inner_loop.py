@@ -36,9 +36,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND, Clock, next_due_ns
+from tetractl.core.clock import NEVER_NS, SECOND, Clock, next_due_ns
 from tetractl.core.commands import Steer, Transmission, Turn
-from tetractl.core.errors import AbortError, WrongValueError, text_of
+from tetractl.core.errors import AbortError, WrongValueError, describe_error
 from tetractl.core.poses import POSE_MAX, CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.lab.device_abilities import HearsDirections
@@ -46,8 +46,8 @@ from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
-from tetractl.tools.worker import WAITING_MAX, drained
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
+from tetractl.tools.worker import QUEUE_MAX, take_all
 
 IDLE_STEP_S = 0.01
 """Maximum time between two steps if no frame arrives [s]."""
@@ -131,8 +131,8 @@ class InnerLoop:
         """Whether the stops of the guard's abort have begun. They are sent only once."""
         self._emergency_stops_begun = False
         """Whether the stops of the operator's emergency stop have begun."""
-        self._transmissions: deque[Transmission] = deque(maxlen=WAITING_MAX)
-        self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
+        self._transmissions: deque[Transmission] = deque(maxlen=QUEUE_MAX)
+        self._warnings: deque[tuple[int, str]] = deque(maxlen=QUEUE_MAX)
         self._transmit_ns = 0  # when the next transmission is due
         self._step_ns = 0  # when the next step without a frame is due
         self._is_closing = threading.Event()
@@ -235,7 +235,7 @@ class InnerLoop:
             The first stop since `stop` was called. None if no stop could be sent.
         """
         first_stop = self._first_stop
-        for _ in range(STOPS):
+        for _ in range(STOP_COUNT):
             # read here, as the step that hangs does not read the operator's key
             emergency = self.guard.emergency or self._emergency.is_set()
             with suppress(Exception, SystemExit):
@@ -246,11 +246,11 @@ class InnerLoop:
 
     def take_transmissions(self) -> list[Transmission]:
         """Return the transmissions to the robots since the last call, oldest first."""
-        return drained(self._transmissions)
+        return take_all(self._transmissions)
 
     def take_warnings(self) -> list[tuple[int, str]]:
         """Return the guard's warnings since the last call, with the time of each [ns]."""
-        return drained(self._warnings)
+        return take_all(self._warnings)
 
     def close(self) -> None:
         """End the loop's thread, without sending stops.
@@ -306,7 +306,7 @@ class InnerLoop:
         try:
             return self._check_and_transmit()
         except (Exception, SystemExit) as error:
-            reason = error.message if isinstance(error, AbortError) else text_of(error)
+            reason = error.message if isinstance(error, AbortError) else describe_error(error)
             now_ns = self._clock.now()
             self.guard.abort(reason)
             self._begin_stops_of_abort(now_ns)
@@ -368,8 +368,8 @@ class InnerLoop:
     # ---- transmissions ----
 
     def _begin_stops(self, now_ns: int) -> None:
-        """Schedule STOPS stops, the first one at once."""
-        self._stops_left = STOPS
+        """Schedule STOP_COUNT stops, the first one at once."""
+        self._stops_left = STOP_COUNT
         self._transmit_ns = now_ns
 
     def _begin_stops_of_abort(self, now_ns: int) -> None:
@@ -524,7 +524,7 @@ def _is_loggable_integer(number: object) -> bool:
 
     Integers of NumPy are not accepted.
     """
-    return isinstance(number, int) and abs(number) < NEVER
+    return isinstance(number, int) and abs(number) < NEVER_NS
 
 
 def _are_loggable(values: Iterable[float]) -> bool:

@@ -60,7 +60,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Excess, Finding, Moved, Refuse
 from tetractl.core.poses import Bools, Floats, Pose
-from tetractl.core.robot_step import PARTS, RobotStep
+from tetractl.core.robot_step import PART_NAMES, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
@@ -209,7 +209,7 @@ class MotionCheck(GuardCheck):
         self._delay_ns = round(rules.limits.delay * SECOND)
         self._radius = rules.wheel_radius
         self._wheel_error = wheel_error
-        self._is_coarse = rules.sight.coarse
+        self._is_coarse = rules.sight.has_grid
         slack_distances = SLACK_S * np.array(rules.speeds)
         heading_error = rules.sight.largest_error_rad
         # by how much each part of a motion may be out of its bounds (N, 3)
@@ -405,7 +405,7 @@ class MotionCheck(GuardCheck):
         self._driven_s[robot] = 0.0
         travelled = since_rest.travelled[robot].copy()
         if moments:
-            travelled += RobotStep.between(before, pose).motion
+            travelled += RobotStep.from_poses(before, pose).motion
         motion = np.array([travelled, *integrals])
         contradiction = self._find_contradiction(robot, motion)
         if contradiction is not None:
@@ -496,8 +496,8 @@ def describe_fault(motion: Floats, slack: Floats, has_wheels: bool) -> str:
     if around_is_out and is_against[2]:
         return adapt_message(TURNS_WRONG_WAY, has_wheels)
     if along_is_out:
-        return MOVES_UNEXPLAINED.format(PARTS[0])
-    return MOVES_UNEXPLAINED.format(PARTS[1] if across_is_out else PARTS[2])
+        return MOVES_UNEXPLAINED.format(PART_NAMES[0])
+    return MOVES_UNEXPLAINED.format(PART_NAMES[1] if across_is_out else PART_NAMES[2])
 
 
 def compute_excess(motion: Floats, slack: Floats, mm_per_unit: float, robot: int) -> Excess:

@@ -23,7 +23,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Health, LabSupervision, RobotStatus
-from tetractl.core.trial import EMULATED_DEVICES
+from tetractl.core.trial import EMULATED_DEVICES_FACT
 from tetractl.lab.camera_stream import compute_rate_hz
 from tetractl.lab.frames import AcceptedFrame, accept_all_poses
 from tetractl.lab.rest_check import describe_drifting_robots, describe_moving_robots
@@ -211,7 +211,8 @@ def inspect(rig: Rig) -> Preflight:
         measured_hz,
         tuple(problems),
         tuple(warnings),
-        {**camera.facts, **actuator.facts} | ({EMULATED_DEVICES: emulated} if emulated else {}),
+        {**camera.facts, **actuator.facts}
+        | ({EMULATED_DEVICES_FACT: emulated} if emulated else {}),
         (*camera.questions, *actuator.questions),
     )
 

@@ -10,7 +10,7 @@ from typing import Self
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera, Health
-from tetractl.core.setup import MM, Setup
+from tetractl.core.setup import MILLIMETRE_M, Setup
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
@@ -71,7 +71,7 @@ class Rig:
     @property
     def mm_per_unit(self) -> float:
         """Number of millimetres in one length unit of the spec."""
-        return self.setup.metres / MM
+        return self.setup.metres / MILLIMETRE_M
 
     def __enter__(self) -> Self:
         self.open()

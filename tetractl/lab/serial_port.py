@@ -18,7 +18,7 @@ import serial
 from tetractl.core.clock import MILLISECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.stop_all import send_stops
-from tetractl.spec.lab_section import STOPS
+from tetractl.spec.lab_section import STOP_COUNT
 
 WRITE_TIMEOUT_S = 0.02
 """Maximum time for which a write waits until the port accepts more bytes [s]."""
@@ -359,9 +359,9 @@ def stop_all_at(
         raise AbortError(reasons[0], SWITCH_OFF_HINT)
     if reasons:
         raise AbortError(
-            f"sent {STOPS} stops, but not to all robots: {'; '.join(reasons)}", SWITCH_OFF_HINT
+            f"sent {STOP_COUNT} stops, but not to all robots: {'; '.join(reasons)}", SWITCH_OFF_HINT
         )
-    return f"sent {STOPS} stops"
+    return f"sent {STOP_COUNT} stops"
 
 
 def _open_reachable(ports: Iterable[SerialPort], exclusive: bool) -> dict[SerialPort, str]:

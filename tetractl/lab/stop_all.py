@@ -6,7 +6,7 @@ from functools import partial
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.setup import Setup
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, ActuatorSection
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS, ActuatorSection
 
 
 def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) -> str:
@@ -28,7 +28,7 @@ def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) 
         failure = send_stops(partial(actuator.stop, emergency=True), clock)
     if failure is not None:
         raise failure
-    return f"sent {STOPS} stops"
+    return f"sent {STOP_COUNT} stops"
 
 
 def send_stops(
@@ -48,7 +48,7 @@ def send_stops(
         The error of the first stop that failed. None if no stop failed.
     """
     failure: AbortError | None = None
-    remaining = STOPS
+    remaining = STOP_COUNT
     while remaining > 0:
         remaining -= are_ready()
         try:

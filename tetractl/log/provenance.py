@@ -23,9 +23,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from tetractl.core import __version__
-from tetractl.core.registry import package_files
+from tetractl.core.registry import find_package_files
 from tetractl.tools.cache import compiler_settings
-from tetractl.tools.cache import digest as cache_name
+from tetractl.tools.cache import digest_files as cache_name
 from tetractl.tools.children import run_tool
 
 COMPUTING_PACKAGES = ("numpy", "numba", "llvmlite", "scipy")
@@ -125,7 +125,9 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     versions), and `packages`: name and version of each package that provides a kind used by the
     spec, with its source files.
     """
-    sources = _source_files(TRIAL_CODE_PARTS).union(*(package_files(name) for name, _ in packages))
+    sources = _source_files(TRIAL_CODE_PARTS).union(
+        *(find_package_files(name) for name, _ in packages)
+    )
     computing = [(name, metadata.version(name)) for name in COMPUTING_PACKAGES]
     return cache_name(sources, repr([*computing, *packages]))
 
@@ -226,7 +228,7 @@ def _git(*arguments: str) -> str | None:
     The result is None if git fails.
     """
     try:
-        process = run_tool(["git", "-C", str(PACKAGE_FOLDER), *arguments], patience_s=5.0)
+        process = run_tool(["git", "-C", str(PACKAGE_FOLDER), *arguments], timeout_s=5.0)
     except OSError:
         return None
     return process.stdout.decode(errors="replace") if process.returncode == 0 else None

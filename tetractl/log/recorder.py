@@ -3,7 +3,7 @@
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from tetractl.core.commands import Command
-from tetractl.core.poses import PICTURE, Frames, Sample
+from tetractl.core.poses import PICTURE_TOPIC, Frames, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log.format.derived_messages import (
@@ -13,7 +13,7 @@ from tetractl.log.format.derived_messages import (
     undelivered_notes,
 )
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.spec.load import parse_written
+from tetractl.spec.load import parse_resolved
 
 
 class TrialRecorder(Observer):
@@ -70,7 +70,7 @@ class TrialRecorder(Observer):
             name: Name of the trial, instead of the path of a log.
         """
         start = self._start
-        spec = parse_written(start.resolved, start.spec_name)  # a plant may have chosen its robots
+        spec = parse_resolved(start.resolved, start.spec_name)  # a plant may have chosen its robots
         frames = Frames.from_samples(self._samples, len(start.setup.names))
         stops = [command for command in self._commands if command.stops]
         return TrialLog(
@@ -95,6 +95,6 @@ class TrialRecorder(Observer):
                 (sample.observation.sampled_ns, CompressedImage.FromString(data).data)
                 for sample in self._samples
                 for topic, data in sample.messages
-                if topic == PICTURE
+                if topic == PICTURE_TOPIC
             ),
         )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tetractl.core import elementwise
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -15,7 +15,7 @@ from tetractl.plant.direct import aim
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.transit import Transit
 from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 
 if TYPE_CHECKING:
     from tetractl.plant.wheel_host import SimHost
@@ -56,8 +56,8 @@ class CommandSender:
 
     @property
     def repeats_ns(self) -> int:
-        """The time at which the host repeats the held action [ns]. NEVER if it does not."""
-        return NEVER if self._host is None else self._host.repeats_ns
+        """The time at which the host repeats the held action [ns]. NEVER_NS if it does not."""
+        return NEVER_NS if self._host is None else self._host.repeats_ns
 
     def send(
         self, now_ns: int, answered: Observation, action: Steer | Turn | FieldOff | None = None
@@ -91,16 +91,16 @@ class CommandSender:
     def send_stops(self, now_ns: int, answered: Observation) -> Command:
         """Send a stop to every robot, and return the first stop.
 
-        If stops may be lost, the stop is sent at least `STOPS` times, and until every robot has
-        received one or STOPS_MAX stops were sent. `delivered` of the result is True for the robots
-        that receive any of them.
+        If stops may be lost, the stop is sent at least `STOP_COUNT` times, and until every robot
+        has received one or STOPS_MAX stops were sent. `delivered` of the result is True for the
+        robots that receive any of them.
         """
         robots = len(self._setup.names)
         if self._host is not None:
             self._host.halt(now_ns)
         is_received = np.zeros(robots, dtype=np.bool_)
         for k in range(STOPS_MAX if self._repeats_stops else 1):
-            if k >= STOPS and is_received.all():
+            if k >= STOP_COUNT and is_received.all():
                 break
             sent_ns = now_ns + k * STOP_GAP_NS
             stop = DelayedCommand(

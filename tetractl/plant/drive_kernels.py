@@ -18,10 +18,10 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion import rolling, swimming
 from tetractl.model.motion.rolling import KnownRobots, SentRates
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import ENTRY, exact, with_parts
+from tetractl.tools.kernels.kernel_options import ENTRY, exact, wrap_called_functions
 
-roll = compiled(**ENTRY)(with_parts(rolling.roll, exact))
-swim = compiled(**ENTRY)(with_parts(swimming.swim, exact))
+roll = compiled(**ENTRY)(wrap_called_functions(rolling.roll, exact))
+swim = compiled(**ENTRY)(wrap_called_functions(swimming.swim, exact))
 _wish = exact(rolling.wish)
 _note = exact(rolling.note)
 _count = exact(rolling.count)

@@ -17,7 +17,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import FrameAddition, Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.trial import HALTS, Note, PlantInfo, Verdict
+from tetractl.core.trial import HALTS_FACT, Note, PlantInfo, Verdict
 from tetractl.lab.abort_cause import CAMERA_MOVED
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.frames import AcceptedFrame
@@ -34,7 +34,7 @@ from tetractl.lab.rest_check import (
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
 from tetractl.spec.lab_section import LabSection
-from tetractl.tools.worker import WAITING_MAX
+from tetractl.tools.worker import QUEUE_MAX
 
 
 class RigSection(LabSection):
@@ -199,7 +199,7 @@ class LabPlant:
         self._supervision = supervision
         self._frames = LabFrames(rig)
         self._samples: list[Sample] = []  # not yet returned, oldest first
-        self._notes: deque[Note] = deque(maxlen=WAITING_MAX)  # not yet read
+        self._notes: deque[Note] = deque(maxlen=QUEUE_MAX)  # not yet read
         self._returned: set[int] = set()  # send times of commands that a call has returned
         self._observed_ns: int | None = None  # when the frame of this control step was observed
         self._stop: Command | None = None
@@ -233,7 +233,7 @@ class LabPlant:
         if rig.loop.frames.newest is None:
             raise AbortError("no camera frame has arrived")
         rate_hz = findings.camera_rate_hz or 0.0
-        facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
+        facts = {**_facts(findings), HALTS_FACT: "yes" if rig.actuator.halts else "no"}
         return PlantInfo(self._kind, False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
@@ -395,7 +395,7 @@ class LabPlant:
                 for lost in losses:
                     guard.lose_robot(lost.robot, lost.text)
         loss = self.setup.loss
-        if loss is None or not loss.replaced:
+        if loss is None or not loss.replaces_lost:
             return
         for i, seen_ns in self.rig.loop.guard.lost_robots.items():
             if now_ns - seen_ns < loss.after_s * SECOND:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Sample, Times
 from tetractl.plant.sim_section import MeasurementNoise
@@ -66,7 +66,7 @@ class SimCamera:
             tracked = self._all_tracked
             if self._measuring:
                 poses, tracked = self._measured(poses, exposed_ns[k])
-            if arrival_ns < NEVER:
+            if arrival_ns < NEVER_NS:
                 frame = Observation(self._exposed, exposed_ns[k], arrival_ns, poses, tracked)
                 self._in_transit.append(Sample(frame, true_poses))
                 self._last_shown = poses
@@ -101,7 +101,7 @@ class SimCamera:
         for disturbance in delaying:
             delayed_ns = disturbance.received(exposed_ns, arrival_ns)
             if delayed_ns is None:
-                return NEVER
+                return NEVER_NS
             if not delayed_ns >= exposed_ns:  # NaN, too
                 value_text = f"the arrival of a frame before its exposure: {delayed_ns} ns"
                 raise WrongValueError("a disturbance", value_text)

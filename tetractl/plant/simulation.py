@@ -24,7 +24,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND, Clock
+from tetractl.core.clock import NEVER_NS, SECOND, Clock
 from tetractl.core.commands import Action, Command, Stop
 from tetractl.core.errors import AbortError, WrongValueError
 from tetractl.core.poses import Floats, Observation, Poses, Sample
@@ -289,7 +289,7 @@ class SimPlant:
         planning_s = sum(
             disturbance.planning_s(now_ns / SECOND) for disturbance in self.disturbances
         )
-        if not 0 <= planning_s < NEVER / SECOND:  # NaN, too
+        if not 0 <= planning_s < NEVER_NS / SECOND:  # NaN, too
             value_text = f"a planning time of {planning_s} s"
             raise WrongValueError("a disturbance", value_text)
         self.clock.sleep_until(now_ns + round(planning_s * SECOND))

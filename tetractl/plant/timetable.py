@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.poses import Bools, Times
 
 TIMES_BLOCK_NS = 4 * SECOND
@@ -85,9 +85,9 @@ class Timetable:
         merged_ns = np.sort(np.concatenate([frames_ns, samples_ns]), kind="stable")
         times_ns = merged_ns[np.append(True, merged_ns[1:] > merged_ns[:-1])]
         next_rows = np.searchsorted(frames_ns, times_ns)
-        next_frames_ns = np.append(frames_ns, NEVER)[next_rows]
+        next_frames_ns = np.append(frames_ns, NEVER_NS)[next_rows]
         next_rows = np.searchsorted(samples_ns, times_ns)
-        next_samples_ns = np.append(samples_ns, NEVER)[next_rows]
+        next_samples_ns = np.append(samples_ns, NEVER_NS)[next_rows]
         self._end_ns = end_ns
         self._taken = 0  # number of times of the block that were taken
         self._block = DueTimes(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.commands import Stop
 from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
 
@@ -32,7 +32,7 @@ class Transit:
     @property
     def next_ns(self) -> int:
         """The time at which the next command takes effect [ns]. NEVER if there is none."""
-        return self._in_flight[0].due_ns if self._in_flight else NEVER
+        return self._in_flight[0].due_ns if self._in_flight else NEVER_NS
 
     def send(self, command: DelayedCommand, now_ns: int) -> DelayedCommand:
         """Send a command at `now_ns`, and return it as disturbances have changed it.
@@ -76,8 +76,8 @@ class Watchdogs:
 
     def __init__(self, robots: int, timeout_s: float) -> None:
         self._timeout_s = timeout_s
-        self._expire_ns = [NEVER] * robots
-        self.next_ns = NEVER
+        self._expire_ns = [NEVER_NS] * robots
+        self.next_ns = NEVER_NS
         """The time when the next watchdog expires [ns]. NEVER if none is active."""
 
     def restart(self, command: DelayedCommand) -> None:
@@ -88,7 +88,7 @@ class Watchdogs:
         if self._timeout_s == math.inf:
             return
         if isinstance(command.action, Stop):
-            expires_ns = NEVER
+            expires_ns = NEVER_NS
         else:
             expires_ns = command.due_ns + round(self._timeout_s * SECOND)
         for i, reached in enumerate(command.reached.tolist()):

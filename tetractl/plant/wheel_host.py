@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND, next_due_ns
+from tetractl.core.clock import NEVER_NS, SECOND, next_due_ns
 from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -55,12 +55,12 @@ class SimHost:
 
         If the two wheels of a robot differ, it also turns while it drives straight.
         """
-        self.repeats_ns = NEVER
+        self.repeats_ns = NEVER_NS
         """The time of the next transmission of the same action [ns]. NEVER if there is none."""
 
     def halt(self, now_ns: int) -> None:
         """Stop transmitting wheel speeds, because a stop is sent at `now_ns` [ns]."""
-        self.repeats_ns = NEVER
+        self.repeats_ns = NEVER_NS
         radius = self._known.radius
         self._sent = self._sent.with_room()
         note(self._sent, now_ns + self._lead_ns, np.zeros((2, radius.size)), radius)
@@ -81,7 +81,7 @@ class SimHost:
             them from calibrated gains and dead zones, then as the wheels really run.
         """
         if self._section.rate is not None:  # as the lab's inner loop does
-            due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
+            due_ns = 0 if self.repeats_ns == NEVER_NS else self.repeats_ns
             self.repeats_ns = next_due_ns(due_ns, now_ns, round(SECOND / self._section.rate))
         if is_new or self._section.recompute:
             self._compute(now_ns + self._lead_ns, action, frame)

@@ -31,7 +31,7 @@ def facts_table(experiment: Experiment) -> Table | None:
     Returns:
         The table. None if each trial finds its own robots, as in a dish.
     """
-    if experiment.open:
+    if experiment.must_choose_robots:
         return None
     setup = experiment.setup
     facts: list[tuple[str, str]] = []
@@ -61,7 +61,7 @@ def facts_items(experiment: Experiment) -> dict[str, Any]:
     `reach` and `smallest_difference` are None and `most_similar` is empty if they are unknown.
     """
     reached = reach(experiment)
-    similar_robots = None if experiment.open else most_similar(experiment.setup)
+    similar_robots = None if experiment.must_choose_robots else most_similar(experiment.setup)
     setup = experiment.setup
     return {
         "reach": reached.fields if reached else None,

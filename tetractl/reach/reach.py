@@ -145,7 +145,7 @@ def reach(experiment: Experiment) -> Reach | None:
     """
     setup = experiment.setup
     control = experiment.controller
-    if experiment.open or len(setup.names) > ROBOTS_MAX:
+    if experiment.must_choose_robots or len(setup.names) > ROBOTS_MAX:
         return None
     motion = control.motion if isinstance(control, Modelled) else "exact"
     return analyse_reach(setup, "exact" if motion == OVERSHOOTING_MOTION else motion)
@@ -246,7 +246,7 @@ def _separable_robots(
     spread_min = NEAR_FACTOR * SPREAD_TOLERANCE * spread_max
     for rate_change in RATE_CHANGES:
         a[group[1:]] = setup.a[group[0]] * (1 + rate_change) ** np.arange(1, len(group))
-        ends = _sample_ends(replace(setup.only(group), a=a[group]), motion)
+        ends = _sample_ends(replace(setup.select_robots(group), a=a[group]), motion)
         pairs = combinations(range(len(group)), 2)
         if all(_spread_between(ends, robot_i, robot_j) > spread_min for robot_i, robot_j in pairs):
             for robot in group[1:]:

@@ -14,7 +14,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from tetractl.core.errors import LogError, unit_of
+from tetractl.core.errors import LogError, format_unit
 from tetractl.log.read.find import without_other_files
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
@@ -288,7 +288,7 @@ def _overview_table(groups: Sequence[BatchStatistics]) -> Table:
     columns = [
         Column("batch", [group.name for group in groups]),
         Column("n", [total.n for total in totals]),
-        Column("mean total error", means, unit_of(groups[0].unit), format_error),
+        Column("mean total error", means, format_unit(groups[0].unit), format_error),
         Column("95 % interval", intervals),
     ]
     texts_of_batches = [texts_by_label(group) for group in groups]
@@ -328,7 +328,7 @@ def _player_html(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> 
             f'<script type="text/plain" id="trial-data-{index}">{packed_trial}</script>\n'
         )
     # the names are filled in last, because a name may contain the text of a placeholder
-    player_html = asset("player.html").replace("@UNIT@", unit_of(unit))
+    player_html = asset("player.html").replace("@UNIT@", format_unit(unit))
     player_html = player_html.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return player_html + "".join(data_scripts)
 

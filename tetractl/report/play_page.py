@@ -9,7 +9,7 @@ from html import escape
 from typing import Any
 
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import UsageError, unit_of
+from tetractl.core.errors import UsageError, format_unit
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.plant.sim_section import SimSection
@@ -85,7 +85,7 @@ def _world(spec: LoadedSpec) -> dict[str, Any]:
     control = experiment.controller
     return {
         "motion": plant.motion,
-        "unit": unit_of(setup.unit),
+        "unit": format_unit(setup.unit),
         "period": setup.period_s,
         "limit": control.time_limit,
         "tolerance": control.arrival_tolerance,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import unit_of
+from tetractl.core.errors import format_unit
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.statistics.built_in_statistics import MEANINGS
@@ -77,7 +77,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     until_ns = end_ns(log)
     return {
         "file": file,
-        "unit": unit_of(setup.unit),
+        "unit": format_unit(setup.unit),
         "arena": [arena.left, arena.bottom, arena.right, arena.top],
         "obstacles": [shape.outline().tolist() for shape in setup.obstacles],
         "robots": _robots(log),

@@ -11,7 +11,7 @@ import numpy as np
 from tetractl.control.search.work_clock import WorkClock
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.errors import WrongValueError, text_of
+from tetractl.core.errors import WrongValueError, describe_error
 from tetractl.core.loggable import check_actions, check_plan, stop_reason
 from tetractl.core.motion_estimate import Estimate, PredictionErrors
 from tetractl.core.plan import Decision, End, Outcome, Plan, Search, State, StopReason
@@ -142,7 +142,7 @@ def _convert_record(record_class: type[Any], source: object) -> Any:
         except _FieldError:
             raise
         except Exception as error:  # objects of any class may raise anything
-            raise _FieldError(f"{name}: {text_of(error)}") from None
+            raise _FieldError(f"{name}: {describe_error(error)}") from None
     return record_class(**values)
 
 

@@ -16,7 +16,7 @@ from tetractl.run.executors import StartTask, TaskEnd
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path
 from tetractl.run.task import FinishedTrial, Task, run_task
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 
 TLS_PREFIX = "DASK_DISTRIBUTED__COMM__TLS"
 """Prefix of the environment variables that configure Dask's encryption."""
@@ -191,7 +191,7 @@ class Cluster:
         future.release()
         for (task, folder), (_, log) in zip(submitted, outcomes, strict=True):
             if log is not None:
-                save_whole(log_path(folder, task.trial), log)
+                write_atomically(log_path(folder, task.trial), log)
         return [outcome for outcome, _ in outcomes]
 
 

@@ -73,7 +73,7 @@ from typing import Literal, Protocol
 
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
-from tetractl.core.errors import TetractlError, text_of
+from tetractl.core.errors import TetractlError, describe_error
 from tetractl.core.losses import describe_dead
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import PAUSE_S, Decision, End, Outcome, Plan
@@ -84,7 +84,7 @@ from tetractl.core.setup import Setup
 from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.motion_at_rest import RestMonitor
-from tetractl.tools.plugin_fault import PluginTrialError, naming_plugins
+from tetractl.tools.plugin_fault import PluginTrialError, create_plugin_error
 
 INTERRUPTED_AT_ONCE = "stopped at once by a second interruption"
 INTERRUPTED_AFTER_STEP = "interrupted; the step was finished"
@@ -291,7 +291,7 @@ def message_of(error: BaseException) -> str:
 
     The name of its class comes first unless it is a TetractlError.
     """
-    return error.message if isinstance(error, TetractlError) else text_of(error)
+    return error.message if isinstance(error, TetractlError) else describe_error(error)
 
 
 class EstimateMonitor(Protocol):
@@ -417,7 +417,7 @@ class Trial:
             plan: The controller's plan.
             solve_ns: Wall time that the plan needed [ns].
         """
-        leg_text = self._route_measure.step(plan.leg, observation)
+        leg_text = self._route_measure.record_step(plan.leg, observation)
         if plan.pauses:
             self._sleep_until(self._clock.now() + plan.delay_ns)
             self._pacing.delay(plan.delay_ns)
@@ -513,7 +513,7 @@ class Trial:
         self._frame_intake.collect()
         events = self._plant.events()
         samples = self._frame_intake.pop_unreported()
-        self._route_measure.add(samples)
+        self._route_measure.add_samples(samples)
         for observer in self._observers:
             observer.on_samples(samples)
             pass_events(observer, events)
@@ -524,7 +524,9 @@ class Trial:
         if dead_count == self._dead_count:
             return
         self._dead_count = dead_count
-        continuation = "" if self._route_measure.stood.any() else ": the trial goes on without"
+        continuation = (
+            "" if self._route_measure.dead_not_lost.any() else ": the trial goes on without"
+        )
         text = describe_dead(self._start.setup.names, self._route_measure.losses.dead)
         self._report(t_ns, text + continuation, "warning")
 
@@ -538,8 +540,10 @@ class Trial:
         """
         halt = self._halt()
         error = loop.error or halt.error
-        plugin_fault = naming_plugins(error, self._start.packages) if error is not None else None
-        dead_text = describe_dead(self._start.setup.names, self._route_measure.stood)
+        plugin_fault = (
+            create_plugin_error(error, self._start.packages) if error is not None else None
+        )
+        dead_text = describe_dead(self._start.setup.names, self._route_measure.dead_not_lost)
         outcome, reason = outcome_and_reason(loop, halt, plugin_fault, dead_text)
         result = self._create_result(outcome, reason, halt, opened_ns)
         plugin_calls = plugin_fault.calls if plugin_fault else ()
@@ -569,7 +573,7 @@ class Trial:
                 stop = plant.stop()
                 verdict = plant.settle()
                 self._frame_intake.collect()
-                self._route_measure.add(self._frame_intake.unreported, stop.sent_ns)
+                self._route_measure.add_samples(self._frame_intake.unreported, stop.sent_ns)
                 events = plant.events()
         except (Exception, SystemExit) as failure:
             error = failure

@@ -34,7 +34,12 @@ from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import FinishedTrial, Task, run_task
-from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context, isolated
+from tetractl.tools.worker_pool import (
+    WorkerPool,
+    create_clean_context,
+    create_fork_context,
+    exclude_current_folder,
+)
 
 KILLED_TEXT = "a trial's process was killed twice, perhaps because memory ran out"
 PRINTED_TEXT = "printed in a trial's process"
@@ -157,9 +162,9 @@ class ProcessExecutor:
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
         self.workers = workers
         self._interrupt = interrupt
-        self._context = fresh_context(["tetractl.run.preloaded"])
+        self._context = create_clean_context(["tetractl.run.preloaded"])
         # Python starts its semaphore tracker in the block
-        with _block_signals(), isolated():
+        with _block_signals(), exclude_current_folder():
             self._ending = self._context.Event()
         self._next_sigterm_s = 0.0
         """Earliest time of the next SIGTERM to the workers, on the monotonic clock [s]."""
@@ -269,7 +274,7 @@ def call_in_workers(
     if jobs < 2:
         yield from map(call, items)
         return
-    with WorkerPool(copying_context(), jobs, PRINTED_TEXT, print_line) as pool:
+    with WorkerPool(create_fork_context(), jobs, PRINTED_TEXT, print_line) as pool:
         for future in as_completed([pool.submit(call, item) for item in items]):
             yield future.result()
 

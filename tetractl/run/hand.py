@@ -34,7 +34,7 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path, run_with_log
 from tetractl.run.spec_trial import trial_seeds
-from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller
+from tetractl.spec.loaded_spec import LoadedSpec, create_start, with_controller
 from tetractl.tools.files import make_folder
 from tetractl.tools.worker import Relay
 
@@ -149,7 +149,7 @@ class HandLog(Relay):
             path: The log. It must not exist.
         """
         final_spec = with_controller(spec, self._controller.section_with_directions)
-        start = start_of(
+        start = create_start(
             final_spec, self._start.trial, self._start.plant, self._start.start_unix_ns
         )
         try:

@@ -18,8 +18,8 @@ from tetractl.core.elementary import exp, expm1, hypot
 from tetractl.core.motion_estimate import (
     INNOVATIONS,
     LAG_ERROR_S,
-    OF_PLACES,
-    OF_TURNING,
+    POSITION_INNOVATIONS,
+    TURNING_INNOVATIONS,
     Estimate,
     PredictionErrors,
 )
@@ -195,10 +195,10 @@ def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: st
     column = INNOVATIONS.index(part)
     late_s = errors.late_s[robot]
     extra_turn = errors.extra_turn[robot]
-    if part in OF_TURNING and not isnan(late_s):
+    if part in TURNING_INNOVATIONS and not isnan(late_s):
         order = "later" if late_s > 0 else "earlier"
         return f"turns about {abs(late_s):.2f} s {order} than predicted"
-    if part in OF_TURNING and not isnan(extra_turn):
+    if part in TURNING_INNOVATIONS and not isnan(extra_turn):
         order = "more" if extra_turn > 0 else "less"
         return f"turns about {100 * abs(extra_turn):.0f} % {order} than predicted"
     mean = errors.mean[robot, column]
@@ -208,7 +208,7 @@ def describe_deviation(errors: PredictionErrors, part: str, robot: int, unit: st
         direction = " or ".join(directions)
     else:
         direction = directions[0] if mean > 0 else directions[1]
-    size = f"{rms:.2f} rad" if part in OF_TURNING else f"{rms:.2g} {unit}"
+    size = f"{rms:.2f} rad" if part in TURNING_INNOVATIONS else f"{rms:.2g} {unit}"
     return f"after {errors.ahead_s:g} s, about {size} {direction}"
 
 
@@ -224,7 +224,7 @@ def describe_unexplained(estimate: Estimate, setup: Setup, parts: Sequence[str])
         A description of the deviation in brackets for each part, such as "heading of red". It is
         empty if the deviation is not known yet.
     """
-    unexplained = estimate.unexplained(setup.names, parts)
+    unexplained = estimate.list_unexplained(setup.names, parts)
     errors = estimate.predictions
     descriptions: dict[str, str] = {}
     for part in parts:
@@ -309,10 +309,10 @@ class ModelMonitor:
         for name in self._standing_robots(estimate, setup, frame):
             text = f"{name} stands still although it is sent a direction"
             self._add_once(notices, Notice("info", text))
-        for part, deviation in describe_unexplained(estimate, setup, OF_PLACES).items():
+        for part, deviation in describe_unexplained(estimate, setup, POSITION_INNOVATIONS).items():
             notice = Notice("info", f"{part} is not as predicted{deviation}")
             self._add_once(notices, notice, key=part)
-        unexplained = describe_unexplained(estimate, setup, OF_TURNING)
+        unexplained = describe_unexplained(estimate, setup, TURNING_INNOVATIONS)
         if self._stated is not None and self._stated.lacks_noise:
             if unexplained:
                 self._add_once(notices, Notice("warning", NOISE_UNSTATED))
@@ -363,7 +363,7 @@ class ModelMonitor:
         """
         previous_by_name = self._standing_robots_by_name
         self._standing_robots_by_name = {}
-        filter_names = estimate.standing(setup.names)
+        filter_names = estimate.list_standing(setup.names)
         for i, name in enumerate(setup.names):
             if name not in filter_names or not frame.valid[i]:
                 continue

@@ -22,20 +22,20 @@ import numpy as np
 
 from tetractl.control.methods.sequence import SequenceController, SequenceSection
 from tetractl.core.commands import Command
-from tetractl.core.errors import TetractlError, UsageError, demand, whole_number
+from tetractl.core.errors import TetractlError, UsageError, require_type, require_whole_number
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.setup import Setup
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, Result
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.controller import ControllerSection
 from tetractl.spec.load import parse_spec
-from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
+from tetractl.spec.loaded_spec import LoadedSpec, create_start, with_controller, with_seed
 from tetractl.tools.files import make_folder
 
 UNOPENED_PLANT = PlantInfo("", True, 0.0, {})
@@ -168,15 +168,17 @@ class OpenTrial:
         section: ControllerSection = experiment.controller
         assert isinstance(section, SequenceSection), "a spec by `directed_spec`"
         self._spec = spec
-        self._trial = whole_number(trial, "a trial")
-        self._seed = whole_number(seed, "a seed")
+        self._trial = require_whole_number(trial, "a trial")
+        self._seed = require_whole_number(seed, "a seed")
         self._directions: list[float] = []
         self._truth_watch = TruthWatch(experiment.setup)
         key, plant_seed = trial_seeds(self._seed, self._trial)
         self._controller = AskingController(SequenceController(section, experiment.setup, key))
         clock = experiment.plant.clock()
         control_loop = Trial(
-            start=replace(start_of(spec, self._trial, UNOPENED_PLANT, EPOCH_NS), seed=self._seed),
+            start=replace(
+                create_start(spec, self._trial, UNOPENED_PLANT, SIMULATED_START_NS), seed=self._seed
+            ),
             plant=experiment.plant.build(experiment.setup, clock, plant_seed, LabSupervision()),
             controller=self._controller,
             clock=clock,
@@ -293,7 +295,7 @@ class OpenTrial:
                 "the trial has not ended yet",
                 "call step() until the trial has a result, or call stop()",
             )
-        demand(folder, str | Path, "the folder must be a path")
+        require_type(folder, str | Path, "the folder must be a path")
         path = log_path(Path(folder), self._trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")

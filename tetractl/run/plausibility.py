@@ -15,12 +15,12 @@ from pydantic import BaseModel
 
 from tetractl.control.search.near_targets import target_separation
 from tetractl.core.elementary import expm1
-from tetractl.core.poses import Floats, turn_problem, wrap
+from tetractl.core.poses import Floats, describe_excess_angle, wrap
 from tetractl.core.setup import Setup
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import blocked_target_distances, clearance
-from tetractl.spec.base import ANGLE
+from tetractl.spec.base import ANGLE_MARK
 from tetractl.spec.consistency import Findings, SpecFinding, find_nearest
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabSection
@@ -36,7 +36,7 @@ from tetractl.spec.section_abilities import (
     PlansSignals,
 )
 from tetractl.spec.yaml.document import Document
-from tetractl.spec.yaml.problems import Loc, SpecProblem, dotted
+from tetractl.spec.yaml.problems import Loc, SpecProblem, format_loc
 
 TURN_PER_SIGNAL_MAX = 2.0
 """Maximum product of turning rate a and duration T of a signal, above which a warning is given.
@@ -147,7 +147,7 @@ class CheckContext:
 def angles_of_many_turns(context: CheckContext) -> Findings:
     """Angles of more than a whole turn, which are probably degrees."""
     for location, value in _angles_in_section(context.experiment, ()):
-        problem = turn_problem(value)
+        problem = describe_excess_angle(value)
         if problem is not None:
             problem_text, hint = problem
             yield SpecFinding(location, problem_text, hint)
@@ -188,7 +188,7 @@ def _angles_in_section(section: BaseModel, location: Loc) -> Iterator[tuple[Loc,
         for item_location, located_value in located_values:
             if isinstance(located_value, BaseModel):
                 yield from _angles_in_section(located_value, item_location)
-            elif isinstance(located_value, float) and ANGLE in fields[name].metadata:
+            elif isinstance(located_value, float) and ANGLE_MARK in fields[name].metadata:
                 yield item_location, located_value
 
 
@@ -261,7 +261,7 @@ def wrong_dead_time(context: CheckContext) -> Findings:
 def inseparable_robots(context: CheckContext) -> Findings:
     """Robots that one signal cannot separate, although their targets require it."""
     for group in _groups_of_similar(context.setup):
-        similar = context.setup.only(group)
+        similar = context.setup.select_robots(group)
         identical_robots = replace(
             similar,
             a=np.full_like(similar.a, similar.a[0]),
@@ -580,20 +580,20 @@ def find_warnings(loaded: LoadedSpec) -> tuple[PlacedWarning, ...]:
 
     There are no warnings if the robots are placeholders, because each trial finds its own robots.
     """
-    if loaded.experiment.open:  # its robots are placeholders
+    if loaded.experiment.must_choose_robots:  # its robots are placeholders
         return ()
     context = CheckContext(loaded.experiment)
     document = loaded.document or Document(loaded.name)
     warnings: list[PlacedWarning] = []
     for rule in RULES:
         for finding in rule(context):
-            place = document.place(finding.where)
+            place = document.place(finding.loc)
             warning = PlacedWarning(
                 origin=place.origin,
                 message=finding.text,
                 line=place.line,
                 column=place.column,
-                field=dotted(finding.where),
+                field=format_loc(finding.loc),
                 value=place.text,
                 hint=finding.hint,
             )

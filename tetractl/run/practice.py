@@ -25,7 +25,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import ready_trial, trial_seeds
 from tetractl.spec.lab_section import LabLimits
 from tetractl.spec.loaded_spec import LoadedSpec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 PRACTICE_S = 3.0
 """Duration of the practice [s]."""
@@ -163,7 +163,7 @@ def practise(spec: LoadedSpec, clock: Clock, read_silence_ns: Callable[[], int])
     period_ns = round(spec.experiment.controller.period * SECOND)
     paced_steps = PacedSteps(period_ns, clock, read_silence_ns, interrupt)
     key, _ = trial_seeds(spec.experiment.trials.seed, 0)
-    simulated = on_plant(spec, "sim")
+    simulated = select_plant(spec, "sim")
     while not paced_steps.is_over:  # trials may be short
         steps_before = paced_steps.step_count
         controller = build_controller(spec.experiment, key)  # in the lab it obeys a real deadline

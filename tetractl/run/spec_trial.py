@@ -17,13 +17,13 @@ import numpy as np
 
 from tetractl.core.clock import Clock
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, PlantInfo
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import EstimateMonitor, Trial, abandon
 from tetractl.run.interrupt import Interrupt
-from tetractl.spec.experiment import Experiment, packages
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
-from tetractl.tools.plugin_fault import plugins_named
+from tetractl.spec.experiment import Experiment, find_packages
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
+from tetractl.tools.plugin_fault import name_plugins_in_errors
 
 if TYPE_CHECKING:
     from tetractl.spec.plants import Prepare
@@ -64,10 +64,10 @@ def ready_trial(
     """
     section = spec.experiment.plant
     clock = section.clock()
-    start_unix_ns = time.time_ns() if section.real_time else EPOCH_NS
+    start_unix_ns = time.time_ns() if section.real_time else SIMULATED_START_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     supervisor = supervision or own_supervision(interrupt)
-    with plugins_named(packages(spec.experiment)):
+    with name_plugins_in_errors(find_packages(spec.experiment)):
         full_spec, plant = _spec_and_plant(spec, clock, seed, supervisor)
         with ExitStack() as unless_ready:
             # a plant that has chosen its robots is open already, and nobody else would stop it
@@ -75,7 +75,7 @@ def ready_trial(
             # the trial asks the plant about itself once it is open
             not_open = PlantInfo("", section.simulated, camera_rate_hz=0.0, facts={})
             control_loop = Trial(
-                start=start_of(full_spec, trial, not_open, start_unix_ns),
+                start=create_start(full_spec, trial, not_open, start_unix_ns),
                 plant=plant,
                 controller=controller or build_controller(full_spec.experiment, key),
                 clock=clock,

@@ -23,7 +23,7 @@ from tetractl.run.logged_trial import log_path
 from tetractl.run.task import code_hash
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import arm_hash
-from tetractl.tools.files import make_folder, save_whole
+from tetractl.tools.files import make_folder, write_atomically
 
 
 class BatchFolder:
@@ -97,7 +97,7 @@ class BatchFolder:
             UsageError: If it comes from another spec or seed.
         """
         experiment = result.experiment
-        if self.experiment.open:  # each trial chose its own robots
+        if self.experiment.must_choose_robots:  # each trial chose its own robots
             spec_robots = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
             experiment = experiment.model_copy(update=spec_robots)
         if arm_hash(experiment) != self.spec_hash:
@@ -273,7 +273,7 @@ class RecordStore:
             LogError: If the file cannot be written.
         """
         record_json = json.dumps({"of": self._identity, "record": dict(record)})
-        save_whole(self.folder / f"record-{number:06d}.json", record_json.encode())
+        write_atomically(self.folder / f"record-{number:06d}.json", record_json.encode())
         self.records[number] = dict(record)
 
 

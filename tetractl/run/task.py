@@ -20,7 +20,7 @@ from tetractl.core.trial import Result
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import run_logged
-from tetractl.spec.experiment import Experiment, packages
+from tetractl.spec.experiment import Experiment, find_packages
 from tetractl.spec.loaded_spec import LoadedSpec
 
 SPECS_CACHED_MAX = 64
@@ -80,7 +80,7 @@ def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
 
 def code_hash(experiment: Experiment) -> str:
     """Compute the hash of the code that runs the trials of an experiment on this machine."""
-    by_name = sorted(packages(experiment).items())
+    by_name = sorted(find_packages(experiment).items())
     return trial_code(tuple(by_name))
 
 

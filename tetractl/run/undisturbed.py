@@ -3,7 +3,7 @@
 from tetractl.core.errors import UsageError
 from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import LoadedSpec
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.yaml.core_yaml import format_yaml
 
 MODEL_MOTION = "exact"
 """The kind of motion of the simulation if the spec's plant does not state one."""
@@ -30,4 +30,4 @@ def undisturbed_spec(spec: LoadedSpec) -> LoadedSpec:
     fields["controller"]["dead_time"] = 0.0
     if fields.get("wheels"):
         fields["wheels"]["lag"] = 0.0
-    return parse_spec(dump(fields), spec.name)
+    return parse_spec(format_yaml(fields), spec.name)

@@ -26,10 +26,10 @@ _SESSION_BYTES = 8
 """Number of random bytes that identify the server to a viewer that reconnects."""
 
 
-def greeting(name: str) -> list[str]:
-    """Return the first messages that a new viewer receives.
+def build_greeting(name: str) -> list[str]:
+    """Build the first messages that a new viewer receives.
 
-    They are the server's description, and the topics with their schemas.
+    They describe the server, and the topics with their schemas.
     """
     info = {
         "op": "serverInfo",
@@ -37,11 +37,11 @@ def greeting(name: str) -> list[str]:
         "capabilities": ["time"],
         "sessionId": secrets.token_hex(_SESSION_BYTES),
     }
-    channels = [_channel(number, topic) for number, topic in TOPICS.items()]
+    channels = [_describe_channel(number, topic) for number, topic in TOPICS.items()]
     return [json.dumps(info), json.dumps({"op": "advertise", "channels": channels})]
 
 
-def _channel(number: int, topic: str) -> dict[str, object]:
+def _describe_channel(number: int, topic: str) -> dict[str, object]:
     """Describe a topic as the protocol requires: its name, its encoding and its schema."""
     schema = protobuf_schema(CHANNELS[topic])
     return {
@@ -54,22 +54,27 @@ def _channel(number: int, topic: str) -> dict[str, object]:
     }
 
 
-def subscription(number: int) -> bytes:
-    """Convert a viewer's number of a subscription to the bytes with which its messages begin.
+def encode_subscription(number: int) -> bytes:
+    """Encode a viewer's subscription id as the bytes with which messages of its topic begin.
 
     Raises:
-        OverflowError: If the number is invalid.
+        OverflowError: If the id is negative or needs more than four bytes.
     """
     return number.to_bytes(4, "little")
 
 
-def message(subscription: bytes, entry: Entry) -> bytes:
-    """Return a message of the log in the form that a viewer receives for its subscription."""
-    kind = bytes([_MESSAGE])
+def encode_message(subscription: bytes, entry: Entry) -> bytes:
+    """Encode a message of the log for a viewer that has subscribed to the message's topic.
+
+    Args:
+        subscription: The encoded id of the subscription.
+        entry: The message.
+    """
+    opcode = bytes([_MESSAGE])
     time_ns = struct.pack("<Q", entry.log_ns)
-    return kind + subscription + time_ns + entry.data
+    return opcode + subscription + time_ns + entry.data
 
 
-def time(time_ns: int) -> bytes:
-    """Return the message that sets the time which a viewer shows [Unix ns]."""
+def encode_time(time_ns: int) -> bytes:
+    """Encode the message that sets the time which a viewer shows [Unix ns]."""
     return struct.pack("<BQ", _TIME, time_ns)

@@ -47,10 +47,13 @@ _QUIET.propagate = False
 
 
 class LoopbackServer:
-    """A server that streams the trials of `live` over WebSockets at the address `url`.
+    """A server that streams trials to log viewers over WebSockets, at the address `url`.
 
-    It is a context manager, and runs in its own threads from construction to `close`. Port 0 takes
-    any free port.
+    The server is a context manager. It runs in its own threads from construction to `close`.
+
+    Args:
+        live: The viewers that connect to the server.
+        port: TCP port of the server. 0 for any free port.
 
     Raises:
         UsageError: If the port cannot be used.
@@ -61,13 +64,13 @@ class LoopbackServer:
         self.live = live
         try:
             self._server = serve(
-                live.converse,
+                live.serve_viewer,
                 ADDRESS,
                 port,
                 origins=ORIGINS,
                 subprotocols=[Subprotocol(PROTOCOL)],
                 compression=None,
-                process_request=self._refusal,
+                process_request=self._refuse_stranger,
                 server_header="tetractl",
                 open_timeout=OPEN_S,
                 ping_interval=None,
@@ -76,8 +79,8 @@ class LoopbackServer:
                 logger=_QUIET,
             )
         except OSError as error:
-            why = f"port {port} cannot be used: {error.strerror}"
-            raise UsageError(why, "try --port 0") from error
+            problem = f"port {port} cannot be used: {error.strerror}"
+            raise UsageError(problem, "try --port 0") from error
         self.port: int = self._server.socket.getsockname()[1]
         self._thread = threading.Thread(
             target=self._server.serve_forever, name="viewers", daemon=True
@@ -101,15 +104,15 @@ class LoopbackServer:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _refusal(self, connection: ServerConnection, request: Request) -> Response | None:
+    def _refuse_stranger(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the refusal of a request without this server's `Host` or token. None to accept it.
 
         The token is compared in constant time.
         """
         hosts = request.headers.get_all("Host")
-        our_name = hosts in ([f"{ADDRESS}:{self.port}"], [f"localhost:{self.port}"])
+        is_our_host = hosts in ([f"{ADDRESS}:{self.port}"], [f"localhost:{self.port}"])
         token = request.path.strip("/").encode()
-        our_token = hmac.compare_digest(token, self.token.encode())
-        if our_token and our_name:
+        has_our_token = hmac.compare_digest(token, self.token.encode())
+        if has_our_token and is_our_host:
             return None
         return connection.respond(HTTPStatus.FORBIDDEN, "")

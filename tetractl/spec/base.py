@@ -10,8 +10,8 @@ from pydantic_core import PydanticCustomError
 from tetractl.spec.yaml.document import Document
 from tetractl.spec.yaml.problems import InvalidSpecError
 
-STRICT = {"strict": True}
-"""Validation context in which values of another type are refused, as they are in a spec."""
+STRICT_CONTEXT = {"strict": True}
+"""Pydantic's validation context in which values of a wrong type are refused, as in a spec."""
 
 
 class Model(BaseModel):
@@ -29,14 +29,18 @@ class Model(BaseModel):
 Section = TypeVar("Section", bound=BaseModel)
 
 
-def validated(model: type[Section], document: Document) -> Section:
-    """Convert the data of a YAML document to a given type, and check it.
+def validate_document(model: type[Section], document: Document) -> Section:
+    """Check the data of a YAML document, and convert it to a section or another model of the spec.
+
+    Args:
+        model: The class to which the data is converted.
+        document: The document.
 
     Raises:
         InvalidSpecError: If the document has problems or wrong values. The error lists all of them.
     """
     try:
-        return model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
+        return model.model_validate(with_tuples(document.data), strict=True, context=STRICT_CONTEXT)
     except ValidationError as error:
         from tetractl.spec.explain_errors import explain  # no valid spec needs it
 
@@ -50,7 +54,7 @@ def with_tuples(value: Any) -> Any:
     Lists inside mappings and other lists are converted too. All other values stay the same.
     """
     if isinstance(value, dict):
-        return {key: with_tuples(item) for key, item in value.items()}
+        return {key: with_tuples(inner_value) for key, inner_value in value.items()}
     return tuple(map(with_tuples, value)) if isinstance(value, list) else value
 
 
@@ -63,8 +67,8 @@ def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
 
     def decorate(section: type[Section]) -> type[Section]:
         for name, value in values.items():
-            field = section.model_fields[name] = copy(section.model_fields[name])
-            field.default = value
+            field_info = section.model_fields[name] = copy(section.model_fields[name])
+            field_info.default = value
         section.model_rebuild(force=True)
         return section
 
@@ -74,23 +78,25 @@ def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 PositiveIfStated = Annotated[Positive | None, Field(exclude_if=lambda value: value is None)]
-"""A positive number that is left out of a spec if it is not stated, even of a complete spec."""
+"""A positive number, or None. If it is None, even a complete spec leaves the field out."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 """A length in a published result, bounded so that squares do not overflow."""
-ANGLE = "angle [rad]"
-"""Marks the type of a field that is an angle, for the warning of angles in degrees."""
-Angle = Annotated[Finite, ANGLE]
-PositiveAngle = Annotated[Positive, ANGLE]
-NonNegativeAngle = Annotated[NonNegative, ANGLE]
+ANGLE_MARK = "angle [rad]"
+"""The mark of types that are angles, by which a warning about angles in degrees finds them."""
+Angle = Annotated[Finite, ANGLE_MARK]
+PositiveAngle = Annotated[Positive, ANGLE_MARK]
+NonNegativeAngle = Annotated[NonNegative, ANGLE_MARK]
 Fraction = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]*$")]
 
 
 def inconsistent(field: str, message: str) -> PydanticCustomError:
-    """Create the error by which a model's validator reports a problem of the field `field`.
+    """Create the error with which a model's validator refuses a field. The caller raises it.
 
-    The caller raises it.
+    Args:
+        field: Name of the field.
+        message: What is wrong, as the end of a sentence that begins with the field.
     """
     return PydanticCustomError("inconsistent", "{message}", {"field": field, "message": message})

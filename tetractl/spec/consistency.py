@@ -21,23 +21,26 @@ from tetractl.spec.lab_section import LabSection
 from tetractl.spec.section_abilities import KeepsClear
 from tetractl.spec.yaml.problems import Loc
 
-MEMORY_GB = 1.0
+MEMORY_MAX_GB = 1.0
 """Maximum memory of a control step [GB]."""
 GB_PER_NUMBER = 8e-9
 """Memory of a number of 64 bits [GB]."""
-ROUNDING_MAX = 1e-9
+ROUNDING_FRACTION_MAX = 1e-9
 """Relative difference below which two bodies count as touching instead of overlapping."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpecFinding:
-    """An error or a warning about a spec, at the location `where`.
+    """An error or a warning about a field of a spec.
 
-    `text` continues a sentence that begins with the name and the value of the field, for example
-    "is outside the arena". `hint` says what to do. Most errors say that in their text.
+    Attributes:
+        loc: Location of the field.
+        text: The problem, as the end of a sentence that begins with the name and the value of the
+            field, for example "is outside the arena".
+        hint: What to do. Empty if the text says so, as in most errors.
     """
 
-    where: Loc
+    loc: Loc
     text: str
     hint: str = ""
 
@@ -48,21 +51,23 @@ class SpecFinding:
 Findings = Iterator[SpecFinding]
 
 
-def find_errors(experiment: Experiment, written: bool) -> Findings:
-    """Yield the errors of a spec. `written` means that tetractl has written it into a log.
+def find_errors(experiment: Experiment, is_resolved: bool) -> Findings:
+    """Yield the contradictions between the parts of a spec.
 
-    The places of robots and obstacles in a written spec are not checked, because a trial may have
-    measured them.
+    Args:
+        experiment: The experiment that the spec describes.
+        is_resolved: Whether tetractl has written the spec into a log. Then the places of robots and
+            obstacles are not checked, because a trial may have measured them.
     """
     yield from find_same_names(experiment)
-    if not written:
+    if not is_resolved:
         yield from find_misplaced(experiment)
     yield from find_section_errors(experiment)
     needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
-    if needed_gb > MEMORY_GB:
+    if needed_gb > MEMORY_MAX_GB:
         message = f"a control step would need about {needed_gb:.3g} GB of memory, more than 1 GB"
         yield SpecFinding(("controller",), f"{message}; use fewer particles, robots or signals")
-    if not written:
+    if not is_resolved:
         yield from find_overlapping(experiment)
         yield from find_unreachable(experiment)
 
@@ -107,16 +112,16 @@ def find_misplaced(experiment: Experiment) -> Findings:
 
 
 def _list_places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
-    """Return the location in the spec and the coordinates of every start, target and way-point.
+    """List every start, target and way-point, robot by robot.
 
-    They are listed robot by robot. Coordinates are in the spec's length unit.
+    Each entry consists of the location in the spec and the coordinates [length unit].
     """
     places: list[tuple[Loc, Point]] = []
     for i, robot in enumerate(robots):
         places.append((("robots", i, "start"), robot.start))
         places.append((("robots", i, "target"), robot.target))
-        for leg, point in enumerate(robot.via):
-            places.append((("robots", i, "via", leg), point))
+        for way_point, point in enumerate(robot.via):
+            places.append((("robots", i, "via", way_point), point))
     return places
 
 
@@ -188,14 +193,14 @@ def find_overlapping(experiment: Experiment) -> Findings:
         return
     setup = experiment.setup
     radius = experiment.controller.body_radius
-    touching = 2 * radius * (1 - ROUNDING_MAX)
+    touching_distance = 2 * radius * (1 - ROUNDING_FRACTION_MAX)
     places: list[tuple[Loc, str, Floats]] = [(("start",), "start", setup.starts.xy)]
-    for leg, points in enumerate(setup.legs[:-1]):
-        places.append((("via", leg), "way-point", points))
+    for way_point, points in enumerate(setup.legs[:-1]):
+        places.append((("via", way_point), "way-point", points))
     places.append((("target",), "target", setup.targets))
     for loc, place_name, points in places:
         for i, neighbour, distance in find_nearest(setup, points):
-            if distance < touching:
+            if distance < touching_distance:
                 message = f"bodies of radius {radius:g} overlap; move one of them"
                 distance_text = f"is {distance:.4g} {setup.unit} from the {place_name}"
                 yield SpecFinding(("robots", i, *loc), f"{distance_text} of {neighbour}: {message}")
@@ -212,13 +217,13 @@ def find_unreachable(experiment: Experiment) -> Findings:
         return
     setup = experiment.setup
     x, y = setup.targets.T
-    to_edge = setup.arena.depth_inside(x, y)
-    to_obstacle = np.full(len(x), np.inf)
+    edge_gap = setup.arena.depth_inside(x, y)
+    obstacle_gap = np.full(len(x), np.inf)
     for shape in setup.obstacles:
-        to_obstacle = np.minimum(to_obstacle, shape.distance(x, y))
-    well_placed = (to_edge >= 0) & (to_obstacle > 0)
+        obstacle_gap = np.minimum(obstacle_gap, shape.distance(x, y))
+    well_placed = (edge_gap >= 0) & (obstacle_gap > 0)
     keeps_to_walls = control.collision.walls
-    nearest_gap = np.minimum(to_obstacle, to_edge) if keeps_to_walls else to_obstacle
+    nearest_gap = np.minimum(obstacle_gap, edge_gap) if keeps_to_walls else obstacle_gap
     for i in np.flatnonzero(well_placed & (nearest_gap < setup.body_radius)).tolist():
         distance_text = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
         message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"

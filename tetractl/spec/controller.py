@@ -59,23 +59,24 @@ class OptimizerSection(Model):
         """Search for the best sequence of signals; see `tetractl.core.protocols.Optimizer`.
 
         Args:
-            problem: What to minimise.
+            problem: The planning problem.
             length: Number of signals in the sequence.
-            warm: A sequence to start from [rad], shape (length,). None if there is none.
-            key: Determines all random numbers of the search.
-            limits: When the search has to end early.
+            warm: Warm start: a sequence to start from [rad], shape (length,). None if there is
+                none.
+            key: Key that determines all random numbers of the search.
+            limits: Limits at which the search has to end early.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """The services that a controller uses from the program that runs it.
+    """The services of the program that runs a controller.
 
     With another host, the same controller can be run again to verify a log.
 
     Attributes:
-        wrap: The controller passes each of its optimisers through this function.
-        timer: The only clock that the controller reads [ns].
+        wrap: Function through which the controller passes each of its optimisers.
+        timer: Function that returns the time [ns]: the only clock that the controller reads.
     """
 
     wrap: Callable[[OptimizerSection], Optimizer] = lambda optimizer: optimizer
@@ -83,7 +84,7 @@ class Host:
 
 
 ALONE = Host()
-"""The host of a controller when nothing counts or repeats its searches."""
+"""The default host, which neither counts nor repeats a controller's searches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +95,9 @@ class NamedFile:
 
     Attributes:
         field: The field that names the file, such as `weights`.
-        contents: The field that takes what the file contains, such as `layers`.
-        read: Reads the file. It returns the value of the field `contents`, and the text of the
-            file, which the log keeps. Raises InvalidSpecError if the file is wrong.
+        contents: The field that receives the contents of the file, such as `layers`.
+        read: Function that reads the file. It returns the value of the field `contents`, and the
+            text of the file, which the log keeps. Raises InvalidSpecError if the file is wrong.
     """
 
     field: str
@@ -150,11 +151,11 @@ class ControllerSection(Model):
         return 0.0
 
     def fitted(self, stands: bool, speed: float) -> Self:
-        """Return these fields of the spec, with those defaults set that depend on the robots.
+        """Return this section with the defaults that depend on the robots.
 
         Args:
             stands: Whether the robots can stand still.
-            speed: Sum of their speeds [length unit/s].
+            speed: Sum of the robots' speeds [length unit/s].
         """
         return self
 
@@ -173,7 +174,7 @@ class ControllerSection(Model):
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return an estimate of how many 8-byte numbers a control step stores at most.
+        """Estimate the maximum number of 8-byte numbers that a control step stores.
 
         The default is 0, which means that the controller needs no check of its memory.
         """

@@ -18,12 +18,12 @@ class DelayedCommand:
     """A command to N robots that has been sent but may not have taken effect yet.
 
     Attributes:
-        sent_ns: When it was sent [ns].
-        due_ns: When it takes effect [ns].
-        action: What the robots are to do.
-        reached: Whether each robot receives it, shape (N,).
-        late_ns: How much later it takes effect on each robot [ns], shape (N,). None for no further
-            delay.
+        sent_ns: When the command was sent [ns].
+        due_ns: When the command takes effect [ns].
+        action: The action that the robots are to perform.
+        reached: Whether each robot receives the command, shape (N,).
+        late_ns: Further delay until the command takes effect on each robot [ns], shape (N,). None
+            for no further delay.
         wheels: Commanded speeds of the left and right wheels [length unit/s], shape (2, N). None if
             the robots receive the direction itself.
     """
@@ -44,9 +44,13 @@ class Disturbance:
     """
 
     def parameters(self, a: Floats, speed: Floats) -> tuple[Floats, Floats]:
-        """Return the true turning rates [rad/s] and speeds [length unit/s], (N,), given the spec's.
+        """Return the true turning rates and speeds of the robots, shape (N,) each.
 
-        Called once, before all other methods.
+        This method is called once, before all other methods.
+
+        Args:
+            a: The spec's turning rates [rad/s], shape (N,).
+            speed: The spec's speeds [length unit/s], shape (N,).
         """
         return a, speed
 
@@ -58,16 +62,16 @@ class Disturbance:
         return poses
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Change the true turning rates and speeds from `time_s` until the next call.
+        """Change the true turning rates and speeds of the robots until the next call.
 
-        It is called when a camera frame is exposed and when a command takes effect, after `moved`
-        for the same time.
+        This method is called when a camera frame is exposed and when a command takes effect, after
+        `moved` for the same time.
 
         Args:
             a: Turning rates [rad/s], shape (N,): those that `parameters` returned, as varied by the
                 disturbances before this one.
             speed: Speeds [length unit/s], shape (N,), like `a`.
-            time_s: The time [s].
+            time_s: The present time [s].
 
         Returns:
             Turning rates and speeds, shape (N,) each. A robot with a = 0 and speed 0 is held still.
@@ -91,13 +95,13 @@ class Disturbance:
         return command
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Change the true poses that the robots have reached.
+        """Change the true poses that the robots have reached since the last call.
 
-        The change is the one that happened since the last call. It is called just before `varied`,
-        for the same time: at every camera frame and every command.
+        This method is called just before `varied`, for the same time: at every camera frame and
+        every command.
 
         Args:
-            poses: Where the motion, and the disturbances before this one, have led.
+            poses: Poses that result from the motion and from the disturbances before this one.
             moving: 1 for a robot that was commanded to move and not held still by another
                 disturbance, 0 for a robot that stood still, shape (N,).
             seconds: Time since the last call [s].
@@ -106,7 +110,7 @@ class Disturbance:
         return poses
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Change what a camera frame contains, such as poses or whether robots were seen.
+        """Change the contents of a camera frame: the measured poses, and which robots are tracked.
 
         Args:
             poses: Measured poses. The pose of an untracked robot is not used.
@@ -157,7 +161,7 @@ class DisturbanceSection(Model):
 
     @property
     def planning_max_s(self) -> float:
-        """The longest planning time that this disturbance can cause [s]; 0 if it causes none."""
+        """The maximum planning time that this disturbance can cause [s]. 0 if it causes none."""
         return 0.0
 
     @abstractmethod

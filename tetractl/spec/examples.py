@@ -22,13 +22,15 @@ def shipped_folder() -> Path:
     raise UsageError("the examples are missing from this installation of tetractl")
 
 
-def examples() -> dict[str, Path]:
-    """Return the files of all examples by name, including those of other packages.
+def find_examples() -> dict[str, Path]:
+    """Find the files of all examples, including the examples of other packages.
 
-    The name is the path in its folder, without `.yaml`.
+    Returns:
+        The file of each example, by name. The name is the path in the examples' folder, without
+        `.yaml`.
     """
     files: dict[str, Path] = {}
-    for folder in (shipped_folder(), *EXAMPLES.usable().values()):
+    for folder in (shipped_folder(), *EXAMPLES.load_usable().values()):
         for file in sorted(folder.rglob("*.yaml")):
             name = file.relative_to(folder).with_suffix("")
             files.setdefault(name.as_posix(), file)

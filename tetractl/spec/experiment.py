@@ -1,4 +1,4 @@
-"""The experiment: a spec with everything that a batch of trials depends on."""
+"""The experiment that a spec describes, with everything that a batch of trials depends on."""
 
 import math
 from abc import abstractmethod
@@ -15,7 +15,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from tetractl.core.colors import NAMED, known_colors
+from tetractl.core.colors import NAMED_COLORS, known_colors
 from tetractl.core.losses import LossRule
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES, SPEC_REGISTRIES, TRIAL_ROBOTS
@@ -82,7 +82,7 @@ class Arena(Model):
 
 
 STRENGTH_UNITS = {"per_mT": "mT", "per_V_cm": "V/cm"}
-"""The unit of the field's strength by the key of alpha."""
+"""The unit of the field's strength, by the key with which a spec gives alpha."""
 
 
 class PerStrength(Model):
@@ -122,19 +122,21 @@ TurningRate = Annotated[
 """a of a robot: a number [rad/s], or a mapping with its alpha."""
 
 
-def rate(a: float | PerStrength, strength: float | None) -> float:
-    """Compute a turning rate [rad/s] at a field strength, given in the unit of its alpha.
+def turning_rate(a: float | PerStrength, strength: float | None) -> float:
+    """Compute a robot's turning rate [rad/s] at a strength of the field.
 
-    A rate that is a number does not depend on the strength. A rate per strength is 0 if the
-    strength is None.
+    Args:
+        a: The rate as the spec gives it. A number does not depend on the strength.
+        strength: Strength of the field, in the unit of the rate's alpha. None if it is not stated.
+            Then a rate per strength is 0.
     """
     return a.alpha * (strength or 0.0) if isinstance(a, PerStrength) else a
 
 
 def strength_unit(rates: tuple[float | PerStrength, ...]) -> str:
-    """Return the unit of the field strength for some turning rates.
+    """Return the unit of the field's strength in which some turning rates are given.
 
-    It is mT if no rate depends on the strength. A spec that mixes units is an error.
+    The unit is mT if no rate depends on the strength. Mixed units raise PydanticCustomError.
     """
     units = {STRENGTH_UNITS[a.key] for a in rates if isinstance(a, PerStrength)} or {"mT"}
     if len(units) > 1:
@@ -176,8 +178,8 @@ class Robot(Model):
     @field_validator("color")
     @classmethod
     def _is_known(cls, color: str | None) -> str | None:
-        named = color is not None and not color.startswith("#") and color not in NAMED
-        if named and color not in known_colors():
+        is_name = color is not None and not color.startswith("#") and color not in NAMED_COLORS
+        if is_name and color not in known_colors():
             raise PydanticCustomError(
                 "unknown_color", "is unknown", {"known": list(known_colors())}
             )
@@ -215,13 +217,13 @@ class Reference(Model):
     """Standard deviation (n - 1) of the total error [length unit]."""
 
 
-_Listed = Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)]
-_PLANT = KindSection(PLANTS, PlantSection, default="sim")
+_RobotList = Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)]
+_PLANT_FIELD = KindSection(PLANTS, PlantSection, default="sim")
 DEFAULT_CONTROLLER = "mpc"
-_CONTROLLER = KindSection(CONTROLLERS, ControllerSection, default=DEFAULT_CONTROLLER)
+_CONTROLLER_FIELD = KindSection(CONTROLLERS, ControllerSection, default=DEFAULT_CONTROLLER)
 
 
-CHANGES_NO_TRIAL = frozenset({"trials", "description", "error_bound"})
+FIELDS_WITHOUT_EFFECT = frozenset({"trials", "description", "error_bound"})
 """Fields of an experiment that change no trial.
 
 Batches that differ in these fields can be combined and compared.
@@ -241,7 +243,7 @@ class Experiment(Model):
     """Units of all numbers."""
     arena: Arena
     """The field of view; starts and targets must lie in it."""
-    robots: Annotated[_Listed, OrTrialRobots(_Listed)]
+    robots: Annotated[_RobotList, OrTrialRobots(_RobotList)]
     """The robots, all steered by the one direction u.
 
     Instead of a list, this can be a mapping with `choose`: then each trial finds its robots.
@@ -283,9 +285,11 @@ class Experiment(Model):
     """Obstacles, which no robot may enter."""
     wheels: Wheels | None = None
     """Wheel geometry; if given, the log holds the wheel speeds of every command."""
-    controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
+    controller: Annotated[ControllerSection, _CONTROLLER_FIELD] = Field(
+        default_factory=_CONTROLLER_FIELD.make
+    )
     """The controller."""
-    plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
+    plant: Annotated[PlantSection, _PLANT_FIELD] = Field(default_factory=_PLANT_FIELD.make)
     """The plant; a simulation if no `type` is given."""
     lab: Annotated[LabSection, KindSection(PLANTS, LabSection, default="lab")] | None = None
     """The lab that `--plant lab` or `--plant emulated` uses instead of `plant`."""
@@ -334,10 +338,12 @@ class Experiment(Model):
         if self.assign == "given" or self.chosen is not None:
             return self
         targets = [robot.target for robot in self.robots]
-        goals = dealt(np.array([robot.start for robot in self.robots]), np.array(targets))
+        target_indices = assign_targets(
+            np.array([robot.start for robot in self.robots]), np.array(targets)
+        )
         robots = tuple(
             robot.model_copy(update={"target": targets[i]})
-            for robot, i in zip(self.robots, goals, strict=True)
+            for robot, i in zip(self.robots, target_indices, strict=True)
         )
         object.__setattr__(self, "robots", robots)
         object.__setattr__(self, "assign", "given")
@@ -357,9 +363,9 @@ class Experiment(Model):
         This applies to unequal numbers of way-points, to `on_lost: replace` where it is not
         supported, and to a missing `strength`. Only the first contradiction is reported.
         """
-        counts = {len(robot.via) for robot in self.robots}
-        if len(counts) > 1:
-            listed = " and ".join(map(str, sorted(counts)))
+        via_counts = {len(robot.via) for robot in self.robots}
+        if len(via_counts) > 1:
+            listed = " and ".join(map(str, sorted(via_counts)))
             message = (
                 f"have {listed} way-points in via; all robots need the same number of way-points"
             )
@@ -378,12 +384,12 @@ class Experiment(Model):
         return self
 
     @property
-    def open(self) -> bool:
-        """Whether each trial still has to choose its robots, for example among cells."""
+    def must_choose_robots(self) -> bool:
+        """Whether each trial still has to choose its robots, for example among cells in a dish."""
         return self.chosen is not None and not self.chosen.are_found
 
     @property
-    def directions_given(self) -> bool:
+    def gives_directions(self) -> bool:
         """Whether the spec gives the directions, and no controller decides.
 
         The directions may have been chosen in hindsight, so the errors say nothing about a
@@ -392,10 +398,10 @@ class Experiment(Model):
         return isinstance(self.controller, GivenDirections)
 
     @property
-    def asked(self) -> tuple[Robot, ...] | TrialRobots:
-        """The robots as the spec describes them: a list, or a rule for choosing them in each trial.
+    def stated_robots(self) -> tuple[Robot, ...] | TrialRobots:
+        """The robots as the spec states them: a list, or a rule by which each trial chooses them.
 
-        This is the same for all trials of a spec.
+        They are the same for all trials of a spec.
         """
         return self.chosen.sought() if self.chosen else self.robots
 
@@ -427,7 +433,9 @@ class Experiment(Model):
             colors=tuple(robot.color for robot in self.robots),
             starts=Poses.from_array(np.array(starts, dtype=np.float64)),
             targets=np.array([robot.target for robot in self.robots], dtype=np.float64),
-            a=np.array([rate(robot.a, self.strength) for robot in self.robots], dtype=np.float64),
+            a=np.array(
+                [turning_rate(robot.a, self.strength) for robot in self.robots], dtype=np.float64
+            ),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
             strength=self.strength,
             strength_unit=strength_unit(tuple(robot.a for robot in self.robots)),
@@ -450,10 +458,10 @@ class Experiment(Model):
 
     @property
     def _loss(self) -> LossRule | None:
-        """The rule for lost robots.
+        """The rule by which robots count as lost.
 
-        None if a lost robot stops the trial and the robots have no wheels. Then the plant alone
-        decides.
+        None if a lost robot stops the trial and the robots have no wheels. Then only the plant
+        decides which robots are lost.
         """
         on_wheels = self.wheels is not None
         if self.on_lost == "stop" and not on_wheels:
@@ -461,14 +469,14 @@ class Experiment(Model):
         limits = self.plant.limits if isinstance(self.plant, LabSection) else LabLimits()
         return LossRule(
             limits.untracked_abort,
-            replaced=self.on_lost == "replace",
-            dead=on_wheels,
-            ends=self.on_lost == "stop",
+            replaces_lost=self.on_lost == "replace",
+            includes_dead=on_wheels,
+            ends_trial=self.on_lost == "stop",
         )
 
 
-def dealt(starts: Floats, targets: Floats) -> list[int]:
-    """Assign a target to each start, so that the sum of the squared distances is minimal.
+def assign_targets(starts: Floats, targets: Floats) -> list[int]:
+    """Assign a target to each robot, so that the sum of the squared distances is minimal.
 
     This minimises the motion that robots do not have in common.
 
@@ -481,27 +489,28 @@ def dealt(starts: Floats, targets: Floats) -> list[int]:
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
 
-    squares = np.square(starts[:, None] - targets).sum(axis=2)
-    return linear_sum_assignment(squares)[1].tolist()
+    squared_distances = np.square(starts[:, None] - targets).sum(axis=2)
+    return linear_sum_assignment(squared_distances)[1].tolist()
 
 
-def packages(spec: Model) -> dict[str, str]:
-    """Return {name: version} of packages other than tetractl that provide kinds used in a spec.
+def find_packages(spec: Model) -> dict[str, str]:
+    """Find the packages other than tetractl that provide kinds used in a spec.
 
-    Empty if all kinds are built in.
+    Returns:
+        The version of each package, by name. Empty if all kinds are built in.
     """
-    used = (registry.kind(name) for registry, name in _kinds(spec))
-    return {kind.package: kind.version for kind in used if kind.package}
+    used_kinds = (registry.kind(name) for registry, name in _find_kinds(spec))
+    return {kind.package: kind.version for kind in used_kinds if kind.package}
 
 
-def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
-    """Yield registry and name of every kind that a part of the spec uses, at any depth.
+def _find_kinds(value: Any) -> Iterator[tuple[Registry, str]]:
+    """Yield the registry and the name of every kind that a part of the spec uses, at any depth.
 
-    A kind that is used several times occurs several times.
+    A kind that is used several times is yielded several times.
     """
     if isinstance(value, tuple):
-        for item in value:
-            yield from _kinds(item)
+        for entry in value:
+            yield from _find_kinds(entry)
     if isinstance(value, TrialRobots):
         yield TRIAL_ROBOTS, value.key
     if isinstance(value, Model):
@@ -510,12 +519,17 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
         for registry in SPEC_REGISTRIES:  # two registries may have a kind of the same name
             if isinstance(name, str) and name in registry and type(value) is registry.load(name):
                 yield registry, name
-        for field, about in type(value).model_fields.items():
-            inner = fields[field]
-            yield from _kinds(inner)
-            for mark in about.metadata:
-                if isinstance(mark, KindName) and isinstance(inner, str):
-                    yield mark.registry, inner
-                brought = isinstance(mark, KindSection) and mark.registry not in SPEC_REGISTRIES
-                if brought and isinstance(inner, Model):  # a registry that a package brings
-                    yield mark.registry, dict(inner)["type"]
+        for field, field_info in type(value).model_fields.items():
+            field_value = fields[field]
+            yield from _find_kinds(field_value)
+            for annotation in field_info.metadata:
+                if isinstance(annotation, KindName) and isinstance(field_value, str):
+                    yield annotation.registry, field_value
+                is_foreign = (
+                    isinstance(annotation, KindSection)
+                    and annotation.registry not in SPEC_REGISTRIES
+                )
+                if is_foreign and isinstance(
+                    field_value, Model
+                ):  # a registry that a package brings
+                    yield annotation.registry, dict(field_value)["type"]

@@ -14,16 +14,16 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tetractl.spec.schema import (
-    alternatives,
-    child,
-    describe,
-    homes,
+    find_field_paths,
+    find_schema,
+    get_child,
+    get_type_name,
+    list_alternatives,
     schema_of,
-    tag,
 )
-from tetractl.spec.yaml.core_yaml import with_space
+from tetractl.spec.yaml.core_yaml import suggest_space
 from tetractl.spec.yaml.document import Document
-from tetractl.spec.yaml.problems import Loc, SpecProblem, did_you_mean
+from tetractl.spec.yaml.problems import Loc, SpecProblem, suggest_similar
 
 Schema = dict[str, Any]
 
@@ -63,38 +63,42 @@ ERRORS_MAX = 1000
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """An error of pydantic, with its location and value in the file's data.
+    """An error that pydantic found in a spec.
 
-    `about` is the part of the schema that describes the value.
+    Attributes:
+        details: Pydantic's description of the error.
+        loc: Location of the wrong value in the file's data.
+        value: The wrong value. None if it is missing.
+        schema: The part of the spec's schema that describes the value.
     """
 
     details: ErrorDetails
     loc: Loc
     value: Any
-    about: Schema
+    schema: Schema
 
     @property
-    def kind(self) -> str:
-        """The name that the library pydantic gives to the error."""
+    def error_type(self) -> str:
+        """The name that pydantic gives to this type of error, such as "missing"."""
         return self.details["type"]
 
     @property
     def context(self) -> dict[str, Any]:
-        """The limits and names that a message about the mistake needs. Empty if it needs none."""
+        """The limits and names that the error's message needs. Empty if it needs none."""
         return self.details.get("ctx", {})
 
 
 def explain(
     error: ValidationError, document: Document, model: type[BaseModel]
 ) -> Iterator[SpecProblem]:
-    """Convert pydantic's errors in a document to problems.
+    """Convert pydantic's errors in a spec to problems in plain words.
 
-    Errors that are already in the document are left out.
+    Errors that are already in the document's problems are left out.
 
     Args:
         error: Pydantic's errors.
-        document: The document.
-        model: The type that the document should have.
+        document: The parsed spec.
+        model: The class to which the spec's data should be converted.
     """
     schema = schema_of(model)
     for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
@@ -102,28 +106,31 @@ def explain(
         mistake = Mistake(
             details,
             loc,
-            value=reduce(child, loc, document.data),
-            about=describe(loc, document.data, schema),
+            value=reduce(get_child, loc, document.data),
+            schema=find_schema(loc, document.data, schema),
         )
         if not _is_reported_already(mistake, document):
             yield _create_problem(mistake, document, schema)
 
 
 def _is_reported_already(mistake: Mistake, document: Document) -> bool:
-    """Check whether an error only follows from another one that is already reported.
+    """Check whether an error only follows from another error that is already reported.
 
-    This is so if a value that encloses it was refused, for example.
+    For example, a value that encloses the wrong value may have been refused.
     """
-    if mistake.kind == "default_factory_not_called":
+    if mistake.error_type == "default_factory_not_called":
         return True  # by the field from which this default is computed
-    if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
+    if (
+        mistake.error_type == "too_short"
+        and len(mistake.value or ()) >= mistake.context["min_length"]
+    ):
         return True  # pydantic counts only valid entries; the invalid ones are reported
     enclosing = [mistake.loc[:depth] for depth in range(len(mistake.loc) + 1)]
     return any(loc in document.places and document.places[loc].refused for loc in enclosing)
 
 
 def find_data_loc(details: ErrorDetails, data: Any) -> Loc:
-    """Return the location of an error in the file's data.
+    """Find the location of pydantic's error in the file's data.
 
     The tags of unions in pydantic's location are left out. A validator can name a field of its
     model in the error's context, see `base.inconsistent`.
@@ -136,7 +143,7 @@ def find_data_loc(details: ErrorDetails, data: Any) -> Loc:
             is_tag = isinstance(data, dict) and (data.get("type") == step or step not in data)
             if is_tag or not isinstance(data, dict | list):
                 continue
-        data = child(data, step)
+        data = get_child(data, step)
         steps.append(step)
     field = details.get("ctx", {}).get("field")
     return (*steps, field) if isinstance(field, str) else tuple(steps)
@@ -145,10 +152,10 @@ def find_data_loc(details: ErrorDetails, data: Any) -> Loc:
 def _create_problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     """Convert a mistake in a spec to a problem with a message and a position."""
     loc = mistake.loc
-    match mistake.kind:
+    match mistake.error_type:
         case "extra_forbidden":
-            meant = _suggest_key(str(loc[-1]), loc[:-1], document.data, schema)
-            return document.key(loc).problem(loc, f"unknown key{meant}")
+            suggestion = _suggest_key(str(loc[-1]), loc[:-1], document.data, schema)
+            return document.key(loc).problem(loc, f"unknown key{suggestion}")
         case "missing":
             return _explain_missing(mistake, document, schema)
         case "union_tag_not_found" | "union_tag_invalid":
@@ -166,10 +173,10 @@ def _explain_wrong_type(mistake: Mistake, document: Document, schema: Schema) ->
     place = document.place(loc)
     types = _list_types(mistake, schema)
     message = f"must be one of {', '.join(types.values())}"
-    if mistake.kind == "union_tag_not_found":
+    if mistake.error_type == "union_tag_not_found":
         return place.problem(loc, f"is missing; {message}")
-    unknown_type = str(child(mistake.value, "type"))
-    guess = did_you_mean(unknown_type, list(types))
+    unknown_type = str(get_child(mistake.value, "type"))
+    guess = suggest_similar(unknown_type, list(types))
     return place.problem(loc, message + guess, place.text)
 
 
@@ -180,24 +187,24 @@ def _explain_missing(mistake: Mistake, document: Document, schema: Schema) -> Sp
     """
     place = document.place(mistake.loc)
     if isinstance(mistake.loc[-1], int):
-        entries = mistake.loc[:-1]
-        length = len(describe(entries, document.data, schema).get("prefixItems", ()))
-        return place.problem(entries, f"must have {length} entries", place.text)
+        list_loc = mistake.loc[:-1]
+        length = len(find_schema(list_loc, document.data, schema).get("prefixItems", ()))
+        return place.problem(list_loc, f"must have {length} entries", place.text)
     message = "is missing; add it"
-    description = mistake.about.get("description")
+    description = mistake.schema.get("description")
     if description:
         message += f": {_first_sentence(description)}"
     return place.problem(mistake.loc, message)
 
 
 def _list_types(mistake: Mistake, schema: Schema) -> dict[str, str]:
-    """Return {name: description} of each type that can be chosen here.
+    """List the types that can be chosen for a section, as {name: description}.
 
-    If there is no description, the name takes its place.
+    If a type has no description, its name takes the place of the description.
     """
     if mistake.context.get("known"):
         return mistake.context["known"]
-    tags = map(tag, alternatives(mistake.about, schema))
+    tags = map(get_type_name, list_alternatives(mistake.schema, schema))
     return {name: name for name in tags if name is not None}
 
 
@@ -205,7 +212,7 @@ def _explain_wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
     message = _compose_message(mistake)
     place = document.place(mistake.loc)
     is_written = mistake.loc in document.places
-    if mistake.value is None and is_written and mistake.kind != "inconsistent":
+    if mistake.value is None and is_written and mistake.error_type != "inconsistent":
         return place.problem(mistake.loc, f"has no value; {message}")
     text = place.text if is_written else None
     return place.problem(mistake.loc, message, mistake.context.get("value", text))
@@ -213,31 +220,33 @@ def _explain_wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
 
 def _compose_message(mistake: Mistake) -> str:
     """Compose the message for a mistake, from the schema if possible."""
-    about = mistake.about
-    if mistake.kind == "literal_error":
-        options = [str(option) for option in about.get("enum") or [about.get("const")]]
-        guess = did_you_mean(str(mistake.value), options)
+    value_schema = mistake.schema
+    if mistake.error_type == "literal_error":
+        options = [
+            str(option) for option in value_schema.get("enum") or [value_schema.get("const")]
+        ]
+        guess = suggest_similar(str(mistake.value), options)
         return f"must be one of {', '.join(options)}{guess}"
-    if mistake.kind == "string_pattern_mismatch":
-        text = about.get("description", mistake.context["pattern"])
+    if mistake.error_type == "string_pattern_mismatch":
+        text = value_schema.get("description", mistake.context["pattern"])
         return f"must be {_first_sentence(text.partition(': ')[2] or text)}"
-    if mistake.kind == "tuple_type":
-        return f"must be {describe_list(about)}"
+    if mistake.error_type == "tuple_type":
+        return f"must be {describe_list(value_schema)}"
     message = explain_in_words(mistake.details, mistake.value)
-    if mistake.kind == "too_long" and mistake.loc[-1] == "start":
+    if mistake.error_type == "too_long" and mistake.loc[-1] == "start":
         return f"{message}; a heading is a field of its own, heading: {mistake.value[2]}"
     return message
 
 
-def describe_list(about: Schema) -> str:
+def describe_list(list_schema: Schema) -> str:
     """Describe the list that a schema requires, such as "a list of 2 numbers".
 
     If the schema has a description, its first sentence follows after a colon.
     """
-    entries = about.get("prefixItems") or [about.get("items") or {}]
-    count = f"{len(entries)} " if "prefixItems" in about else ""
-    entry_type = PLURAL_TYPES.get(str(entries[0].get("type")), "entries")
-    description = about.get("description")
+    entry_schemas = list_schema.get("prefixItems") or [list_schema.get("items") or {}]
+    count = f"{len(entry_schemas)} " if "prefixItems" in list_schema else ""
+    entry_type = PLURAL_TYPES.get(str(entry_schemas[0].get("type")), "entries")
+    description = list_schema.get("description")
     return f"a list of {count}{entry_type}" + (
         f": {_first_sentence(description)}" if description else ""
     )
@@ -249,47 +258,56 @@ def explain_in_words(details: ErrorDetails, value: Any) -> str:
     If there is no text for this kind of error, return the library's message, beginning with a small
     letter.
     """
-    kind = details["type"]
+    error_type = details["type"]
     context = details.get("ctx", {})
-    if kind in MESSAGES:
-        numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
-        message = MESSAGES[kind].format(**numbers) + _suggest_quotes(kind, value)
-        hint = _suggest_value(kind, value)
+    if error_type in MESSAGES:
+        numbers = {
+            limit_name: f"{limit:g}" if isinstance(limit, float) else limit
+            for limit_name, limit in context.items()
+        }
+        message = MESSAGES[error_type].format(**numbers) + _suggest_quotes(error_type, value)
+        hint = _suggest_value(error_type, value)
         return f"{message}; {hint}" if hint else message
-    if kind == "unknown_color":
+    if error_type == "unknown_color":
         colors = context["known"]
-        guess = did_you_mean(str(value), colors)
+        guess = suggest_similar(str(value), colors)
         return f"is an unknown colour{guess}; known are #rrggbb and {', '.join(colors)}"
     message = details["msg"].removeprefix("Value error, ")
     return message[:1].lower() + message[1:]
 
 
 def _suggest_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
-    """Suggest what was meant by an unknown key, as a text that follows "unknown key".
+    """Suggest the key that an unknown key was meant to be, as the end of a message.
 
     If no field has a similar name, list the fields that are known at this place.
     """
-    spaced = with_space(key)
-    if spaced:
-        return f"; {spaced}"
-    fields = list(describe(parent, data, schema).get("properties", ()))
-    guess = did_you_mean(key, fields)
+    space_hint = suggest_space(key)
+    if space_hint:
+        return f"; {space_hint}"
+    fields = list(find_schema(parent, data, schema).get("properties", ()))
+    guess = suggest_similar(key, fields)
     if guess:
         return guess
-    inside = "".join(f"{step}." for step in parent)
-    for home in homes(key, schema):
-        if home.startswith(inside) and home != f"{inside}{key}":  # that of another kind
-            return f" here; did you mean '{home}'?"
+    parent_path = "".join(f"{step}." for step in parent)
+    for field_path in find_field_paths(key, schema):
+        if (
+            field_path.startswith(parent_path) and field_path != f"{parent_path}{key}"
+        ):  # that of another kind
+            return f" here; did you mean '{field_path}'?"
     return f"; known here: {', '.join(fields)}"
 
 
-def _suggest_value(kind: str, value: Any) -> str:
-    """Suggest how a wrong value was probably meant, such as with a decimal point. "" if unknown."""
+def _suggest_value(error_type: str, value: Any) -> str:
+    """Suggest how to write a wrong value, such as with a decimal point. "" if unknown."""
     if isinstance(value, str):
-        comma = re.fullmatch(r"([+-]?\d+),(\d+)", value)
-        point_hint = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""
-        return with_space(value) or point_hint
-    if kind == "too_long" and all(isinstance(entry, int | float) for entry in value):
+        comma_match = re.fullmatch(r"([+-]?\d+),(\d+)", value)
+        point_hint = (
+            f"a decimal number has a point: {comma_match[1]}.{comma_match[2]}"
+            if comma_match
+            else ""
+        )
+        return suggest_space(value) or point_hint
+    if error_type == "too_long" and all(isinstance(entry, int | float) for entry in value):
         return "a decimal number has a point, not a comma"
     return ""
 

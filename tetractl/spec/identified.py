@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import Field
 
 from tetractl.core.errors import printable
-from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive, validated
+from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive, validate_document
 from tetractl.spec.yaml.document import Document, Place, read_document
 from tetractl.spec.yaml.problems import Loc
 
@@ -66,7 +66,7 @@ def read_identified(path: Path) -> tuple[Identified, str]:
     Problems are reported like problems of a spec.
     """
     document = read_document(path)
-    identified = validated(Identified, document)
+    identified = validate_document(Identified, document)
     for name, robot in identified.robots.items():
         if robot.a.value <= 0:
             document.refuse(("robots", name, "a", "value"), "must be greater than 0")
@@ -76,18 +76,20 @@ def read_identified(path: Path) -> tuple[Identified, str]:
     return identified, document.text
 
 
-def merge(document: Document, identified: Identified, origin: str, estimates: bool) -> None:
+def merge_identified(
+    document: Document, identified: Identified, origin: str, identifies_robots: bool
+) -> None:
     """Replace a spec's values by identified values, and record problems in the document.
 
     The turning rate a and speed of each robot, and the controller's dead time, are replaced. An
     alpha is replaced by a, divided by the strength at which a was identified.
 
     Args:
-        document: The spec, which is changed.
+        document: The parsed spec, which is changed.
         identified: The identified values.
-        origin: The file that holds them.
-        estimates: Whether the controller identifies robots while it drives. Then the dead time
-            counts from sending a command. Otherwise it counts from the exposure of the frame.
+        origin: The file that contains the identified values.
+        identifies_robots: Whether the controller identifies robots while it drives. Then the dead
+            time counts from sending a command. Otherwise it counts from the exposure of the frame.
     """
     place = Place(origin)
     unit = _length_unit(document)
@@ -107,7 +109,7 @@ def merge(document: Document, identified: Identified, origin: str, estimates: bo
     controller = document.data.setdefault("controller", {})
     if isinstance(controller, dict):
         dead_time_s = identified.dead_time.value
-        if not estimates:
+        if not identifies_robots:
             dead_time_s += identified.frame_age
         document.put(("controller", "dead_time"), dead_time_s, place)
 
@@ -135,7 +137,7 @@ def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
 def _put_rate(
     document: Document, loc: Loc, a_rad_s: float, strength: float | None, place: Place
 ) -> None:
-    """Replace a robot's turning rate a [rad/s] by the one that was identified at a field strength.
+    """Replace a robot's turning rate a by the rate that was identified at a field strength.
 
     If the spec gives the rate per strength, the identified rate is divided by `strength`. If the
     strength is None, the rate stays the same, and a problem is added to the document.

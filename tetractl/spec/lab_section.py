@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import UNSTATED, Sight
+from tetractl.core.poses import UNKNOWN_SIGHT, Sight
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.setup import Setup
@@ -41,17 +41,22 @@ STANDSTILL_MM_S = 10.0
 """Speed below which a robot counts as standing still [mm/s]."""
 REACTION_S = 0.15
 """Time for which the guard predicts motion, unless the limits say otherwise [s]."""
-STOPS = 10
-STOP_GAP_NS = SECOND // 50  # time between two of the ten stops that are sent [ns]
+STOP_COUNT = 10
+"""Number of stops that are sent one after another, because some may be lost."""
+STOP_GAP_NS = SECOND // 50
+"""Time between two of these stops [ns]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
     """The result of a calibration: values that replace values in the lab's sections.
 
-    `camera` and `actuator` map keys of the lab's sections with these names to new values; an entry
-    of a list is found by its `name`.
-    `lines` is a summary for readers. `emulated` names the devices that were not real.
+    Attributes:
+        camera: New values for keys of the section `lab.camera`. An entry of a list is found by its
+            `name`.
+        actuator: New values for keys of the section `lab.actuator`, like `camera`.
+        lines: A summary for readers.
+        emulated: Names of the devices that were not real.
     """
 
     camera: Mapping[str, Any] = field(default_factory=dict)
@@ -110,8 +115,8 @@ class CameraSection(DeviceSection):
 
     @property
     def sight(self) -> Sight:
-        """How precisely the camera measures: grid, noise and frame rate. By default, unknown."""
-        return UNSTATED
+        """The precision and the frame rate of the camera. By default, they are unknown."""
+        return UNKNOWN_SIGHT
 
     def heading_offset(self, name: str) -> float | None:
         """Return the angle that the camera adds to a robot's measured heading [rad].
@@ -319,7 +324,7 @@ class LabSection(PlantSection):
 
     @property
     def sight(self) -> Sight:
-        """How precisely the lab's camera measures."""
+        """The precision and the frame rate of the lab's camera."""
         return self.camera.sight
 
     def require_devices(self) -> None:
@@ -361,7 +366,10 @@ Part = TypeVar("Part", bound=RobotPart)
 
 
 def entry(robots: Sequence[Part], name: str) -> Part:
-    """Return the first entry with this name. `mismatches` has checked that it exists."""
+    """Return a robot's entry in the section of a device.
+
+    The entry must exist. `mismatches` checks this.
+    """
     return next(robot for robot in robots if robot.name == name)
 
 
@@ -380,7 +388,7 @@ def mismatches(
     """
     for missing in sorted(set(names) - {robot.name for robot in robots}):
         yield ("robots",), f"has no entry for {missing}; list every robot of the spec"
-    taken: dict[tuple[str, object], int] = {}
+    index_by_value: dict[tuple[str, object], int] = {}
     for i, robot in enumerate(robots):
         if robot.name not in names:
             yield (
@@ -391,11 +399,11 @@ def mismatches(
             value = dict(robot)[key]
             if value is None:
                 continue
-            first = taken.setdefault((key, value), i)
-            if first != i:
+            earlier_index = index_by_value.setdefault((key, value), i)
+            if earlier_index != i:
                 yield (
                     ("robots", i, key),
-                    f"is also the value of {robots[first].name}; the values must differ",
+                    f"is also the value of {robots[earlier_index].name}; the values must differ",
                 )
 
 
@@ -410,8 +418,8 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
         yield ("speed_max_mm_s",), f"is below the speed of {name}, which is {speeds.max():g} mm/s"
 
 
-def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
-    """Find robots for which the spec does not say how far the wheels are from the centre.
+def find_unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
+    """Find robots whose distance from the wheels to the centre is missing in the spec.
 
     Args:
         setup: The constants of the experiment, which may state one radius for all robots.

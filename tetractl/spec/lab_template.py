@@ -12,16 +12,16 @@ from pathlib import Path
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import ACTUATORS, CAMERAS, TEMPLATES
-from tetractl.spec.packages import not_installed
+from tetractl.spec.packages import explain_missing
 from tetractl.spec.yaml.document import parse_document
-from tetractl.spec.yaml.problems import did_you_mean
+from tetractl.spec.yaml.problems import suggest_similar
 
-OURS = Path(__file__).parent / "templates"
-PLACE = "@CAMERA@\n"
+OWN_TEMPLATES = Path(__file__).parent / "templates"
+CAMERA_LINE = "@CAMERA@\n"
 
 
 def lab_template(robots: str, camera: str | None) -> str:
-    """Return the spec for a kind of robots and a kind of camera.
+    """Compose the text of a spec with a lab, for a kind of robots and a kind of camera.
 
     Args:
         robots: The kind of robots.
@@ -30,30 +30,32 @@ def lab_template(robots: str, camera: str | None) -> str:
     Raises:
         UsageError: If there is no such part, or if the robots have a camera of their own.
     """
-    text = _part("robots", robots)
-    if PLACE not in text:
+    robots_text = _read_part("robots", robots)
+    if CAMERA_LINE not in robots_text:
         if camera not in (None, robots):
             raise UsageError(
                 f"robots of type {robots} measure their own poses, so --camera cannot be given",
                 "leave --camera out",
             )
-        return text
-    spec = parse_document(text.replace(PLACE, "").replace("@NAME@", "name: robots"), robots).data
+        return robots_text
+    spec = parse_document(
+        robots_text.replace(CAMERA_LINE, "").replace("@NAME@", "name: robots"), robots
+    ).data
     names = [robot["name"] for robot in spec["robots"]]
-    part = _for_each_robot(_part("cameras", camera or "optitrack"), names)
-    for side in ("width", "height"):
-        part = part.replace(f"@{side.upper()}@", str(spec["arena"][side]))
-    return text.replace(PLACE, part)
+    camera_text = _repeat_lines_for_robots(_read_part("cameras", camera or "optitrack"), names)
+    for dimension in ("width", "height"):
+        camera_text = camera_text.replace(f"@{dimension.upper()}@", str(spec["arena"][dimension]))
+    return robots_text.replace(CAMERA_LINE, camera_text)
 
 
-def _for_each_robot(text: str, names: Sequence[str]) -> str:
+def _repeat_lines_for_robots(part_text: str, names: Sequence[str]) -> str:
     """Repeat each line of a part that contains `@ROBOT@` once for each robot.
 
     `@ROBOT@` becomes the robot's name, and `@I@` its index from 0. A line without `@ROBOT@` occurs
     once, with 0 for `@I@`.
     """
     lines: list[str] = []
-    for line in text.splitlines(keepends=True):
+    for line in part_text.splitlines(keepends=True):
         if "@ROBOT@" not in line:
             lines.append(line.replace("@I@", "0"))
             continue
@@ -63,35 +65,41 @@ def _for_each_robot(text: str, names: Sequence[str]) -> str:
     return "".join(lines)
 
 
-def _part(what: str, kind: str) -> str:
-    """Return the text of one part of the template, from the folder `robots` or `cameras`.
+def _read_part(folder_name: str, kind: str) -> str:
+    """Read the text of one part of the template.
 
-    A template of tetractl takes precedence over one of the same kind in another package.
+    A template of tetractl takes precedence over a template of the same kind in another package.
+
+    Args:
+        folder_name: The folder of the part, "robots" or "cameras".
+        kind: The kind of robots or camera.
 
     Raises:
         UsageError: If there is no template for this kind.
     """
-    parts: dict[str, Path] = {}
-    for folder in (OURS, *TEMPLATES.usable().values()):
-        for file in sorted((folder / what).glob("*.yaml")):
-            parts.setdefault(file.stem, file)
-    if kind not in parts:
-        raise _no_part(what, kind, list(parts))
-    return parts[kind].read_text("utf-8")
+    path_by_kind: dict[str, Path] = {}
+    for folder in (OWN_TEMPLATES, *TEMPLATES.load_usable().values()):
+        for file in sorted((folder / folder_name).glob("*.yaml")):
+            path_by_kind.setdefault(file.stem, file)
+    if kind not in path_by_kind:
+        raise _create_part_error(folder_name, kind, list(path_by_kind))
+    return path_by_kind[kind].read_text("utf-8")
 
 
-def _no_part(what: str, kind: str, parts: list[str]) -> UsageError:
+def _create_part_error(folder_name: str, kind: str, known_kinds: list[str]) -> UsageError:
     """Create the error for a kind of robots or cameras that has no part. The caller raises it."""
-    option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
-    needs = not_installed(types.group, kind)
-    if needs is not None:
-        problem, hint = needs
+    option, registry = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[
+        folder_name
+    ]
+    explanation = explain_missing(registry.group, kind)
+    if explanation is not None:
+        problem, hint = explanation
         return UsageError(f"{kind} {problem}", hint)
-    why = f"unknown{did_you_mean(kind, parts)}"
-    if kind in types:
-        why = (
-            f"the package of this type has no template {what}/{kind}.yaml; write the "
+    problem_text = f"unknown{suggest_similar(kind, known_kinds)}"
+    if kind in registry:
+        problem_text = (
+            f"the package of this type has no template {folder_name}/{kind}.yaml; write the "
             "section yourself"
         )
-    hint = f"the known types are {', '.join(parts)}; other packages may add more"
-    return UsageError(f"{option} {kind}: {why}", hint)
+    hint = f"the known types are {', '.join(known_kinds)}; other packages may add more"
+    return UsageError(f"{option} {kind}: {problem_text}", hint)

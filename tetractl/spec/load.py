@@ -5,10 +5,10 @@
     read_document          the file's data, with the place of each value (`yaml.document`)
     with_settings          values of `--set` and other options take their places (`yaml.settings`);
                            they may name the files below
-    _with_identified       values of the file of `tetractl identify`, if the spec names one, take
+    _apply_identified      values of the file of `tetractl identify`, if the spec names one, take
                            the places of its own, but not those of settings
     _put_controller_file   contents of the file that the controller's section names, if it does
-    validated_experiment   sections, or pydantic's errors in plain words (`explain_errors`); then
+    validate_experiment    sections, or pydantic's errors in plain words (`explain_errors`); then
                            the rules between sections (`consistency`)
 
 Problems of settings, values and rules are collected, and raised together with their places; a file
@@ -26,17 +26,17 @@ import numpy as np
 
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
-from tetractl.spec.base import validated
+from tetractl.spec.base import validate_document
 from tetractl.spec.consistency import find_errors
 from tetractl.spec.controller import ControllerSection, NamedFile
 from tetractl.spec.experiment import DEFAULT_CONTROLLER, Experiment
-from tetractl.spec.loaded_spec import Attached, LoadedSpec, attach
+from tetractl.spec.loaded_spec import AttachedFiles, LoadedSpec, attach_file
 from tetractl.spec.yaml.document import Document, Place, parse_document, read_document
 from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem
 from tetractl.spec.yaml.settings import SpecSetting, with_settings
 
 IDENTIFIED = ("identified",)
-"""The field that names a file of `tetractl identify`."""
+"""The location of the field that names a file of `tetractl identify`."""
 
 
 def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
@@ -53,18 +53,18 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
         InvalidSpecError: With one line per problem: `file:line:column: field: value: what is wrong;
             what would be right`.
     """
-    settled = with_settings(document, settings)
-    _refuse_study(settled)
-    attached: Attached = ()
+    effective_document = with_settings(document, settings)
+    _refuse_study(effective_document)
+    attached: AttachedFiles = ()
     if document.path is None:
-        _refuse_named_files(settled)
+        _refuse_named_files(effective_document)
     else:
-        settled, attached = _with_identified(settled, document, settings)
-        attached = _put_controller_file(settled, attached)
-    experiment = validated_experiment(settled, written=False)
+        effective_document, attached = _apply_identified(effective_document, document, settings)
+        attached = _put_controller_file(effective_document, attached)
+    experiment = validate_experiment(effective_document, is_resolved=False)
     path = document.path
     name = document.origin if path is None else printable(path.name)
-    return LoadedSpec(experiment, document.text, name, path, attached, document=settled)
+    return LoadedSpec(experiment, document.text, name, path, attached, document=effective_document)
 
 
 def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
@@ -77,7 +77,7 @@ def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
 
 
 def parse_spec(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Check the text of a spec, as `load_document` does.
+    """Check the text of a spec, and return the spec with its experiment.
 
     The spec must not name a file, because there is no folder to find it in.
 
@@ -89,10 +89,10 @@ def parse_spec(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> Lo
     return load_document(parse_document(text, name), settings)
 
 
-def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Check a resolved spec that tetractl wrote into a log.
+def parse_resolved(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check a resolved spec that tetractl wrote into a log, and return the loaded spec.
 
-    Its places are not checked, because a trial may have measured them.
+    The places of robots are not checked, because a trial may have measured them.
 
     Args:
         text: The text.
@@ -102,24 +102,24 @@ def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) ->
     document = with_settings(parse_document(text, name), settings)
     _refuse_study(document)
     _refuse_named_files(document)
-    experiment = validated_experiment(document, written=True)
+    experiment = validate_experiment(document, is_resolved=True)
     return LoadedSpec(experiment, text, name, logged=document.data)
 
 
 def parse_contents(
     contents: Mapping[str, Any], name: str, settings: Sequence[SpecSetting] = ()
 ) -> LoadedSpec:
-    """Check a spec given as its contents, as `parse_spec` does.
+    """Check a spec that is given as a mapping, and return the spec with its experiment.
 
     Problems and warnings name fields but no lines, because there is no file.
 
     Args:
-        contents: The contents.
+        contents: The fields of the spec, by key.
         name: Its name in error messages.
         settings: Values that replace those in the contents.
     """
-    text = as_text(contents, name)
-    with without_lines():
+    text = format_as_json(contents, name)
+    with omit_line_numbers():
         document = parse_document(text, name)
         for loc, place in document.places.items():
             document.places[loc] = replace(place, line=None, column=None)
@@ -127,8 +127,11 @@ def parse_contents(
 
 
 @contextmanager
-def without_lines() -> Iterator[None]:
-    """In the block, raise problems of contents without line numbers, because there is no file."""
+def omit_line_numbers() -> Iterator[None]:
+    """Leave out line numbers from spec errors that are raised in the `with` block.
+
+    This is for specs that are given as mappings, because there is no file with lines.
+    """
     try:
         yield
     except InvalidSpecError as error:
@@ -136,11 +139,12 @@ def without_lines() -> Iterator[None]:
         raise InvalidSpecError(problems, error.hint) from None
 
 
-def as_text(contents: Mapping[str, Any], name: str) -> str:
-    """Return the contents of a spec as JSON text on one line, which is also YAML.
+def format_as_json(contents: Mapping[str, Any], name: str) -> str:
+    """Format the contents of a spec as JSON text on one line, which is also YAML.
 
     Raises:
-        SpecError: If they hold an object that JSON lacks. The message starts with `name`.
+        SpecError: If they contain an object that JSON cannot express. The message starts with
+            `name`.
     """
     try:
         return json.dumps(contents)
@@ -160,8 +164,8 @@ def _refuse_study(document: Document) -> None:
         raise InvalidSpecError([SpecProblem(document.origin, "this is a study, not a spec")], hint)
 
 
-def _named_file(document: Document, loc: Loc) -> str | None:
-    """Return the name of the file that a field of a spec refers to.
+def _find_file_name(document: Document, loc: Loc) -> str | None:
+    """Return the file name that a field of a spec contains.
 
     None if the field is missing or is not a string.
     """
@@ -171,63 +175,63 @@ def _named_file(document: Document, loc: Loc) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def _controller_file(document: Document) -> tuple[NamedFile, str] | None:
+def _find_controller_file(document: Document) -> tuple[NamedFile, str] | None:
     """Return the file to which the spec's controller refers, and its name in the spec.
 
     The result is None if the spec names no such file, or has the file's contents itself.
     """
-    kind = _controller_kind(document)
-    named = kind.named_file if kind is not None else None
+    controller_class = _find_controller_class(document)
+    named = controller_class.named_file if controller_class is not None else None
     if named is None or ("controller", named.contents) in document.places:
         return None
-    file_name = _named_file(document, ("controller", named.field))
+    file_name = _find_file_name(document, ("controller", named.field))
     return None if file_name is None else (named, file_name)
 
 
-def _with_identified(
-    settled: Document, document: Document, settings: Sequence[SpecSetting]
-) -> tuple[Document, Attached]:
-    """Take the values of the `tetractl identify` file that a spec names, if it names one.
+def _apply_identified(
+    effective_document: Document, document: Document, settings: Sequence[SpecSetting]
+) -> tuple[Document, AttachedFiles]:
+    """Apply the values of the `tetractl identify` file that a spec names, if it names one.
 
     These values replace the spec's own values, and settings replace both.
 
     Args:
-        settled: The document with its settings, which may name the file.
-        document: The document without them.
+        effective_document: The document with its settings, which may name the file.
+        document: The document without the settings.
         settings: The settings.
 
     Returns:
-        The settled document, with these values, and the file for the log.
+        The document with its settings and these values, and the file for the log.
     """
-    file_name = _named_file(settled, IDENTIFIED)
+    file_name = _find_file_name(effective_document, IDENTIFIED)
     if file_name is None:
-        return settled, ()
-    from tetractl.spec.identified import merge, read_identified
+        return effective_document, ()
+    from tetractl.spec.identified import merge_identified, read_identified
 
     path = _folder(document) / file_name
     identified, text = read_identified(path)
     identified_spec = with_settings(document, ())
-    merge(identified_spec, identified, str(path), _estimates(settled))
-    settled = with_settings(identified_spec, settings)
-    settled.take_out(IDENTIFIED)  # its values are now in the spec
-    return settled, attach((), path, text)
+    merge_identified(identified_spec, identified, str(path), _identifies_robots(effective_document))
+    effective_document = with_settings(identified_spec, settings)
+    effective_document.remove(IDENTIFIED)  # its values are now in the spec
+    return effective_document, attach_file((), path, text)
 
 
-def _put_controller_file(settled: Document, attached: Attached) -> Attached:
+def _put_controller_file(effective_document: Document, attached: AttachedFiles) -> AttachedFiles:
     """Replace the name of the controller's file, if there is one, by the file's contents.
 
     Returns:
-        The files for the log, with this one.
+        The files for the log, including the controller's file.
     """
-    controller_file = _controller_file(settled)
+    controller_file = _find_controller_file(effective_document)
     if controller_file is None:
         return attached
     named, file_name = controller_file
-    path = _folder(settled) / file_name
+    path = _folder(effective_document) / file_name
     contents, text = named.read(path)
-    settled.take_out(("controller", named.field))
-    settled.put(("controller", named.contents), contents, Place(str(path)))
-    return attach(attached, path, text)
+    effective_document.remove(("controller", named.field))
+    effective_document.put(("controller", named.contents), contents, Place(str(path)))
+    return attach_file(attached, path, text)
 
 
 def _folder(document: Document) -> Path:
@@ -242,31 +246,32 @@ def _refuse_named_files(document: Document) -> None:
     The problems are stored in the document, and nothing is raised.
     """
     refusal = "can be named only in a spec file"
-    if _named_file(document, IDENTIFIED) is not None:
+    if _find_file_name(document, IDENTIFIED) is not None:
         document.refuse(IDENTIFIED, refusal)
-    controller_file = _controller_file(document)
+    controller_file = _find_controller_file(document)
     if controller_file is not None:
         named, _ = controller_file
         document.refuse(("controller", named.field), refusal)
 
 
-def _estimates(document: Document) -> bool:
-    """Check whether a document's controller identifies robots while it drives.
+def _identifies_robots(document: Document) -> bool:
+    """Check whether the controller of a spec identifies robots while it drives.
 
-    Its field `estimate` says so or, if it is missing, the default of its kind.
+    Its field `estimate` decides or, if the field is missing, the default of the controller's kind.
     """
-    kind = _controller_kind(document)
-    if kind is None:
+    controller_class = _find_controller_class(document)
+    if controller_class is None:
         return False
-    field_of_kind = kind.model_fields.get("estimate")
-    by_default = field_of_kind is not None and field_of_kind.default
+    estimate_field = controller_class.model_fields.get("estimate")
+    by_default = estimate_field is not None and estimate_field.default
     return document.data.get("controller", {}).get("estimate", by_default) is True
 
 
-def _controller_kind(document: Document) -> type[ControllerSection] | None:
-    """Return the class of a document's controller.
+def _find_controller_class(document: Document) -> type[ControllerSection] | None:
+    """Find the class of a spec's controller section.
 
-    A spec without a type has the default controller. None if no installed kind has the given type.
+    A controller without a type is the default controller. The result is None if no installed kind
+    has the given type.
     """
     controller = document.data.get("controller", {})
     if not isinstance(controller, dict):
@@ -277,16 +282,21 @@ def _controller_kind(document: Document) -> type[ControllerSection] | None:
     return CONTROLLERS.load(name)
 
 
-def validated_experiment(document: Document, written: bool) -> Experiment:
-    """Check a document, and return the experiment that it describes.
+def validate_experiment(document: Document, is_resolved: bool) -> Experiment:
+    """Check a parsed spec, and return the experiment that it describes.
+
+    Args:
+        document: The parsed spec.
+        is_resolved: Whether tetractl has written the spec into a log. Then the places of robots are
+            not checked.
 
     Raises:
         InvalidSpecError: With all wrong values at once or, if there are none, with all
             contradictions.
     """
-    experiment = validated(Experiment, document)
+    experiment = validate_document(Experiment, document)
     with np.errstate(all="ignore"):  # numbers at the end of floating point are compared as inf
-        for error in find_errors(experiment, written):
-            document.refuse(error.where, str(error))
+        for error in find_errors(experiment, is_resolved):
+            document.refuse(error.loc, str(error))
     document.require_no_problems()
     return experiment

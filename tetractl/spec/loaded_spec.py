@@ -1,4 +1,4 @@
-"""A valid spec: the experiment, the text and the files that it comes from, and its hash."""
+"""A valid spec, with its experiment, its text, the files that it names, and its hash."""
 
 import hashlib
 import json
@@ -11,14 +11,14 @@ from pydantic import ValidationError
 
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.shown import NotebookDisplay
-from tetractl.core.trial import OWN_FILES, PlantInfo, Start
+from tetractl.core.trial import RESERVED_FILE_NAMES, PlantInfo, Start
 from tetractl.spec.controller import ControllerSection
-from tetractl.spec.experiment import Experiment, Trials, packages
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.experiment import Experiment, Trials, find_packages
+from tetractl.spec.yaml.core_yaml import format_yaml
 from tetractl.spec.yaml.document import Document
 
-Attached = tuple[tuple[str, str], ...]
-"""Names and texts of the files that a spec names, which the log stores with it."""
+AttachedFiles = tuple[tuple[str, str], ...]
+"""Names and texts of the files that a spec names. The log stores them with the spec."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,15 @@ class LoadedSpec(NotebookDisplay):
         path: The file. None if the spec comes from no file.
         attached: Further files that belong to the spec, as names and texts.
         logged: Data of a resolved spec that tetractl wrote into a log. None for other specs.
-        document: Which file, line or option states each value. None if the spec was not read from
-            text.
+        document: The parsed spec, which states the file and line, or the option, from which each
+            value comes. None if the spec was not read from text.
     """
 
     experiment: Experiment
     text: str = field(repr=False)
     name: str  # file name, without its folder
     path: Path | None = None
-    attached: Attached = field(default=(), repr=False)
+    attached: AttachedFiles = field(default=(), repr=False)
     logged: Any = field(default=None, repr=False)
     document: Document | None = field(default=None, repr=False, compare=False)
 
@@ -58,9 +58,9 @@ class LoadedSpec(NotebookDisplay):
 
 
 def with_controller(spec: LoadedSpec, controller: ControllerSection) -> LoadedSpec:
-    """Return a copy of a spec with another controller, without checking it.
+    """Return a copy of a spec with another controller, without checking the new spec.
 
-    Its text has every field.
+    The text of the new spec has every field.
     """
     experiment = spec.experiment.model_copy(update={"controller": controller})
     return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
@@ -82,7 +82,7 @@ def with_seed(spec: LoadedSpec, seed: int) -> LoadedSpec:
 
 def resolved_yaml(experiment: Experiment) -> str:
     """Return a spec with every field as YAML text, which loads as the same experiment."""
-    return dump(experiment.model_dump(mode="json"))
+    return format_yaml(experiment.model_dump(mode="json"))
 
 
 def spec_hash(experiment: Experiment, logged: Any = None) -> str:
@@ -92,7 +92,8 @@ def spec_hash(experiment: Experiment, logged: Any = None) -> str:
 
     Args:
         experiment: The experiment.
-        logged: For a spec from an earlier log, its data. Then only its keys are hashed.
+        logged: Data of the spec in an earlier log. Then only the keys of this data are hashed. None
+            for other specs.
     """
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
@@ -115,7 +116,10 @@ def _with_logged_keys(fields: Any, logged: Any) -> Any:
         }
     both_lists = isinstance(fields, list) and isinstance(logged, list)
     if both_lists and len(fields) == len(logged):
-        return [_with_logged_keys(*pair) for pair in zip(fields, logged, strict=True)]
+        return [
+            _with_logged_keys(*field_and_logged)
+            for field_and_logged in zip(fields, logged, strict=True)
+        ]
     return fields
 
 
@@ -128,7 +132,7 @@ def arm_hash(experiment: Experiment) -> str:
     return spec_hash(experiment.model_copy(update={"trials": trials}))
 
 
-def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
+def create_start(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
     """Create the record of a trial's start from its spec.
 
     Args:
@@ -149,11 +153,11 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
         plant=plant,
         start_unix_ns=start_unix_ns,
         attached=spec.attached,
-        packages=packages(experiment),
+        packages=find_packages(experiment),
     )
 
 
-def attach(attached: Attached, path: Path, text: str) -> Attached:
+def attach_file(attached: AttachedFiles, path: Path, text: str) -> AttachedFiles:
     """Add a file to the files that are attached to a log.
 
     Args:
@@ -165,7 +169,7 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
         SpecError: If the log already has a file with this name.
     """
     name = printable(path.name)
-    if name in OWN_FILES or name in dict(attached):
+    if name in RESERVED_FILE_NAMES or name in dict(attached):
         raise SpecError(
             f"{printable(str(path))}: every log already has a file named {name}",
             "rename this file",

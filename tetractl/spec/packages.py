@@ -14,7 +14,7 @@ PAPERS = "tetractl-papers"
 IDENTIFY = "tetractl-identify"
 LEARN = "tetractl-learn"
 TESTING = "tetractl-testing"
-BRINGS = {
+PROVIDERS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
     ("tetractl.lab_commands", "rehearse"): EMULATOR,
@@ -44,30 +44,34 @@ BRINGS = {
     ("tetractl.examples", "two_cells"): MICROSCOPE,
     ("tetractl.examples", "faults"): EMULATOR,
 }
-"""The package that provides a name of a group of entry points.
+"""The package that provides each kind, command or example, by (group of entry points, name).
 
-For an example, the name is that of the example or its folder.
+For an example, the name is the name of the example or its folder.
 """
 
 
-def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
-    """List the names of a group that are not present, as (name, package that provides it).
+def list_missing(group: str, present_names: Sequence[str]) -> list[tuple[str, str]]:
+    """List the names of a group whose packages are not installed, as (name, package).
 
-    Only names of tetractl's own packages are known.
+    Only the names of tetractl's own packages are known.
+
+    Args:
+        group: The group of entry points.
+        present_names: The names that are installed.
     """
     return [
         (name, package)
-        for (its_group, name), package in BRINGS.items()
-        if its_group == group and name not in present
+        for (provided_group, name), package in PROVIDERS.items()
+        if provided_group == group and name not in present_names
     ]
 
 
-def not_installed(group: str, name: str) -> tuple[str, str] | None:
+def explain_missing(group: str, name: str) -> tuple[str, str] | None:
     """Explain which package provides a name, and how to install it, as (problem, hint).
 
     None if no known package provides it. The caller has checked that the name is not installed.
     """
-    package = BRINGS.get((group, name))
+    package = PROVIDERS.get((group, name))
     if package is None:
         return None
     return f"needs {package}, which is not installed", f"pip install ./packages/{package}"

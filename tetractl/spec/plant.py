@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.poses import UNSTATED, Floats, Sight
+from tetractl.core.poses import UNKNOWN_SIGHT, Floats, Sight
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.spec.base import Model, NonNegative, Positive
@@ -79,7 +79,7 @@ class PlantSection(Model):
 
         It is unknown for a simulation, even if the spec gives the simulated measurement noise.
         """
-        return UNSTATED
+        return UNKNOWN_SIGHT
 
     def require_devices(self) -> None:
         """Raise AbortError if a lab's port does not exist. No device is opened.

@@ -1,6 +1,6 @@
-"""Select the plant of an experiment, and apply a calibration file to its lab.
+"""Select the plant on which a spec will run, and apply a calibration file to its lab.
 
-`Prepare` is the type of a function that finds the robots of a trial on its plant. See
+`Prepare` is the type of the functions that find the robots of a trial on its plant. See
 `TrialRobots`.
 """
 
@@ -16,33 +16,33 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import SpecError, UsageError, printable
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import PLANTS
-from tetractl.spec.base import Model, validated
+from tetractl.spec.base import Model, validate_document
 from tetractl.spec.consistency import find_section_errors
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabSection
-from tetractl.spec.loaded_spec import LoadedSpec, attach
-from tetractl.spec.packages import not_installed
+from tetractl.spec.loaded_spec import LoadedSpec, attach_file
+from tetractl.spec.packages import explain_missing
 from tetractl.spec.plant import PlantSection
 from tetractl.spec.yaml.document import Document, parse_document
-from tetractl.spec.yaml.problems import InvalidSpecError, Loc, dotted
-from tetractl.spec.yaml.settings import make_way
-from tetractl.spec.yaml.spec_files import file_of_spec, read_text
+from tetractl.spec.yaml.problems import InvalidSpecError, Loc, format_loc
+from tetractl.spec.yaml.settings import create_path
+from tetractl.spec.yaml.spec_files import read_text, resolve_path
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedTrial:
-    """The experiment of a trial with the robots that were found, and its plant."""
+    """The experiment of a trial, with the robots that were found, and the plant of the trial."""
 
     experiment: Experiment
     plant: Plant
 
 
 Prepare = Callable[[Experiment, Clock, np.random.SeedSequence, LabSupervision], PreparedTrial]
-"""A function that finds the robots of a trial.
+"""The type of a function that finds the robots of a trial.
 
-It takes the experiment, the clock and the seed of the trial, and how people supervise it, which
-only real robots need. It raises UsageError if robots cannot be found on the experiment's plant, and
-AbortError if they were not found.
+Its arguments are the experiment, the clock and the seed of the trial, and the `LabSupervision`,
+which only real robots need. It raises UsageError if robots cannot be found on the experiment's
+plant, and AbortError if they were not found.
 """
 
 
@@ -59,8 +59,8 @@ class Calibration(Model):
     """Values that replace values in `lab.actuator`."""
 
 
-def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True) -> LoadedSpec:
-    """Return the spec with the plant that will be run.
+def select_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True) -> LoadedSpec:
+    """Return a spec with the plant on which it will run, such as its simulation or its lab.
 
     A `lab` section that is not used is kept for other runs.
 
@@ -76,26 +76,26 @@ def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True
     experiment = loaded.experiment
     if experiment.plant.simulated and kind in (None, "sim", experiment.plant.type):
         return loaded
-    if kind is not None and not of_lab(kind):
+    if kind is not None and not is_lab_kind(kind):
         lab = experiment.lab if experiment.plant.simulated else experiment.plant
-        updated = {"plant": _with_defaults(kind), "lab": lab}
+        updated = {"plant": _create_default_plant(kind), "lab": lab}
         return replace(loaded, experiment=experiment.model_copy(update=updated))
     folder = loaded.path.parent if loaded.path else None
-    lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
+    lab = convert_lab(kind, get_lab(experiment, loaded.name)).with_files(folder)
     in_lab = experiment.model_copy(update={"plant": lab, "lab": None})
     loaded = replace(loaded, experiment=in_lab)
     for error in find_section_errors(loaded.experiment):
-        raise SpecError(f"{loaded.name}: {dotted(error.where)} {error}")
+        raise SpecError(f"{loaded.name}: {format_loc(error.loc)} {error}")
     if lab.calibration is None or not with_calibration:
         return loaded
-    path = file_of_spec(folder, "lab.calibration", lab.calibration)
+    path = resolve_path(folder, "lab.calibration", lab.calibration)
     text = read_text(path)
-    experiment = calibrated(loaded.experiment, text, str(path))
-    attached = attach(loaded.attached, path, text)
+    experiment = apply_calibration(loaded.experiment, text, str(path))
+    attached = attach_file(loaded.attached, path, text)
     return replace(loaded, experiment=experiment, attached=attached)
 
 
-def _with_defaults(kind: str) -> PlantSection:
+def _create_default_plant(kind: str) -> PlantSection:
     try:
         return PLANTS.load(kind).model_validate({"type": kind})
     except ValidationError as error:
@@ -107,41 +107,42 @@ def _with_defaults(kind: str) -> PlantSection:
         ) from None
 
 
-def settings_on(spec: Document, sets: Sequence[str], kind: str | None) -> list[str]:
-    """Adapt settings to the plant on which the spec will run.
+def adapt_settings(spec: Document, sets: Sequence[str], kind: str | None) -> list[str]:
+    """Adapt the values of `--set` to the plant on which a spec will run.
 
-    If that is the spec's `lab`, settings of `plant` become settings of `lab`.
+    If the plant is the spec's `lab`, settings of `plant` become settings of `lab`.
 
     Args:
         spec: The spec.
         sets: The settings, such as "plant.limits.stale=0.2".
         kind: The kind of plant. None for the spec's own plant.
     """
-    named = any(setting.startswith("plant.") for setting in sets)
-    if kind is None or not named or not of_lab(kind):
+    names_plant = any(setting.startswith("plant.") for setting in sets)
+    if kind is None or not names_plant or not is_lab_kind(kind):
         return list(sets)
     if "lab" not in spec.data:
         return list(sets)
-    moved = [re.sub(r"^plant\.", "lab.", setting) for setting in sets]
-    return [f"lab.type={kind}", *moved]
+    lab_settings = [re.sub(r"^plant\.", "lab.", setting) for setting in sets]
+    return [f"lab.type={kind}", *lab_settings]
 
 
-def of_lab(kind: str) -> bool:
-    """Check whether a kind of plant has the fields of a lab.
+def is_lab_kind(kind: str) -> bool:
+    """Check whether a kind of plant is a lab, real or emulated, with a lab's fields.
 
     Raises:
-        UsageError: If there is no such kind.
+        UsageError: If there is no such kind of plant.
     """
     if kind not in PLANTS:
-        why, hint = not_installed(PLANTS.group, kind) or ("there is no such plant", None)
+        problem, hint = explain_missing(PLANTS.group, kind) or ("there is no such plant", None)
         raise UsageError(
-            f"--plant {kind}: {why}", hint or f"the known plants are {', '.join(PLANTS.names())}"
+            f"--plant {kind}: {problem}",
+            hint or f"the known plants are {', '.join(PLANTS.names())}",
         )
     section: type[PlantSection] = PLANTS.load(kind)
     return issubclass(section, LabSection)
 
 
-def lab_as(kind: str | None, lab: LabSection) -> LabSection:
+def convert_lab(kind: str | None, lab: LabSection) -> LabSection:
     """Convert the lab of a spec to a plant of another kind, such as an emulated lab.
 
     The lab is unchanged if `kind` is None, or if it is "lab" and the lab is real.
@@ -153,11 +154,15 @@ def lab_as(kind: str | None, lab: LabSection) -> LabSection:
     return section.model_validate(shared | {"type": kind})
 
 
-def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment: its plant or, if that is simulated, the section `lab`.
+def get_lab(experiment: Experiment, name: str) -> LabSection:
+    """Return the lab of an experiment: its plant or, if the plant is simulated, the section `lab`.
+
+    Args:
+        experiment: The experiment.
+        name: Name of the spec, with which an error message starts.
 
     Raises:
-        SpecError: If it has no lab. The message starts with `name`.
+        SpecError: If the experiment has no lab.
     """
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
@@ -169,41 +174,42 @@ def lab_of(experiment: Experiment, name: str) -> LabSection:
     return lab
 
 
-def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
+def apply_calibration(experiment: Experiment, text: str, origin: str) -> Experiment:
     """Apply the measured values of a calibration to the lab of an experiment.
 
     Args:
         experiment: The experiment.
         text: The contents of the calibration file.
-        origin: The name of the file. Its problems are reported like those of a spec.
+        origin: The name of the calibration file, for error messages.
     """
-    document = _calibration(text, origin)
-    validated(Calibration, document)
+    document = _parse_calibration(text, origin)
+    validate_document(Calibration, document)
     document.require_no_problems()
-    merged = Document(document.origin, experiment.model_dump(mode="json"))
+    calibrated = Document(document.origin, experiment.model_dump(mode="json"))
     for name, field in type(experiment.plant).model_fields.items():
         if field.exclude:  # the dump leaves it out, since no log is to have it
-            merged.data["plant"][name] = getattr(experiment.plant, name)
+            calibrated.data["plant"][name] = getattr(experiment.plant, name)
     for device in ("camera", "actuator"):
         section = document.data.get(device, {})
-        for path, measured_loc, value in _single_values(section, (device,), (device,)):
+        for path, measured_loc, value in _find_single_values(section, (device,), (device,)):
             place = document.place(measured_loc)
-            loc = make_way(merged, ("plant", *path), place)
-            if value != {} or loc[-1] not in merged.holder(loc):
-                merged.put(loc, value, place)
-    updated = validated(Experiment, merged)
-    for error in find_section_errors(updated):
+            loc = create_path(calibrated, ("plant", *path), place)
+            if value != {} or loc[-1] not in calibrated.holder(loc):
+                calibrated.put(loc, value, place)
+    experiment_in_lab = validate_document(Experiment, calibrated)
+    for error in find_section_errors(experiment_in_lab):
         raise SpecError(
-            f"{origin}: if this calibration is applied, the field {dotted(error.where)} {error}"
+            f"{origin}: if this calibration is applied, the field {format_loc(error.loc)} {error}"
         )
-    return updated
+    return experiment_in_lab
 
 
-def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration file. Errors do not quote the text of other kinds of files.
+def _parse_calibration(text: str, origin: str) -> Document:
+    """Parse the text of a calibration file.
 
     Raises:
-        SpecError: If it is not YAML, or lacks the key `measured`.
+        SpecError: If the text is not YAML, or lacks the key `measured`. The message does not quote
+            the text, because it may be another kind of file.
     """
     try:
         document = parse_document(text, origin)
@@ -217,20 +223,25 @@ def _calibration(text: str, origin: str) -> Document:
     return document
 
 
-def _single_values(
-    value: Any, path: tuple[str, ...], loc: Loc
+def _find_single_values(
+    value: Any, path: tuple[str, ...], loc_in_file: Loc
 ) -> Iterator[tuple[tuple[str, ...], Loc, Any]]:
-    """Yield every single value in a mapping, or in a list of named entries, in the lab section.
+    """Yield every single value in a section of a calibration file, at any depth.
 
-    Each value comes with its path by the names of entries, and its location in the file. A value
-    that is neither a mapping nor such a list, or is empty, is itself yielded.
+    The section consists of mappings, and of lists whose entries have names. Any other value, and an
+    empty mapping or list, counts as a single value.
+
+    Yields:
+        The value's path by the names of entries, its location in the file, and the value.
     """
-    inside: list[tuple[str, str | int, Any]] = []
+    inner_values: list[tuple[str, str | int, Any]] = []
     if isinstance(value, dict):
-        inside = [(key, key, item) for key, item in value.items()]
-    elif isinstance(value, list) and all(isinstance(e, dict) and "name" in e for e in value):
-        inside = [(str(entry["name"]), i, entry) for i, entry in enumerate(value)]
-    if not inside:
-        yield path, loc, value
-    for name, key, item in inside:
-        yield from _single_values(item, (*path, name), (*loc, key))
+        inner_values = [(key, key, inner_value) for key, inner_value in value.items()]
+    elif isinstance(value, list) and all(
+        isinstance(list_entry, dict) and "name" in list_entry for list_entry in value
+    ):
+        inner_values = [(str(entry["name"]), i, entry) for i, entry in enumerate(value)]
+    if not inner_values:
+        yield path, loc_in_file, value
+    for name, key, inner_value in inner_values:
+        yield from _find_single_values(inner_value, (*path, name), (*loc_in_file, key))

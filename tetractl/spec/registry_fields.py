@@ -12,11 +12,11 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from tetractl.core.registry import Registry
-from tetractl.spec.packages import not_installed
+from tetractl.spec.packages import explain_missing
 
 
-def read(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
-    """Validate the part of a spec that a mapping describes, in the context of its parent.
+def validate_section(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
+    """Validate the mapping of one section, as strictly as pydantic validates the enclosing section.
 
     Args:
         section: The section's class.
@@ -38,7 +38,7 @@ class KindSection:
 
     Attributes:
         registry: The registry.
-        base: Only classes derived from it can be chosen here.
+        base: The class from which the chosen class must be derived.
         default: The type of a mapping without `type`. None if `type` is required.
     """
 
@@ -52,7 +52,7 @@ class KindSection:
         def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
             if isinstance(value, self.base):
                 return value
-            return read(self._section(value), value, info)
+            return validate_section(self._section(value), value, info)
 
         return core_schema.with_info_plain_validator_function(validate)
 
@@ -62,10 +62,10 @@ class KindSection:
         options: list[JsonSchemaValue] = []
         references: dict[str, str] = {}
         # what is usable: so that a broken package does not hide other mistakes
-        for name, kind in self.registry.usable().items():
-            if not issubclass(kind, self.base):
+        for name, section_class in self.registry.load_usable().items():
+            if not issubclass(section_class, self.base):
                 continue
-            option = handler(kind.__pydantic_core_schema__)
+            option = handler(section_class.__pydantic_core_schema__)
             if "$ref" in option:
                 references[name] = option["$ref"]
             required: list[str] = handler.resolve_ref_schema(option).get("required", [])
@@ -93,26 +93,29 @@ class KindSection:
         if name is None:
             raise self._wrong_type("union_tag_not_found", "has no type")
         if not isinstance(name, str) or name not in self.registry:
-            missing = not_installed(self.registry.group, str(name))
+            missing = explain_missing(self.registry.group, str(name))
             if missing:
                 raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(missing)})
             raise self._wrong_type("union_tag_invalid", "has an unknown type")
         section = self.registry.load(name)
         if not issubclass(section, self.base):
-            raise self._wrong_type("union_tag_invalid", "cannot be used here", without=name)
+            raise self._wrong_type("union_tag_invalid", "cannot be used here", excluded_name=name)
         return section
 
     def _wrong_type(
-        self, kind: LiteralString, text: LiteralString, without: str = ""
+        self, error_type: LiteralString, message: LiteralString, excluded_name: str = ""
     ) -> PydanticCustomError:
-        """Return the error for a type that cannot be used, listing the types that can.
+        """Create the error for a type that cannot be used, with a list of the types that can.
 
-        The listed types are all except `without`. Other packages are asked for theirs.
+        Args:
+            error_type: Pydantic's name of the error.
+            message: The message.
+            excluded_name: The type that the list leaves out. Empty to list all types.
         """
-        texts = {
-            usable.name: str(usable) for usable in self.registry.kinds() if usable.name != without
+        known_types = {
+            kind.name: str(kind) for kind in self.registry.kinds() if kind.name != excluded_name
         }
-        return PydanticCustomError(kind, text, {"known": texts})
+        return PydanticCustomError(error_type, message, {"known": known_types})
 
 
 @dataclass(eq=False)
@@ -140,7 +143,7 @@ class OrMapping:
             if isinstance(value, self.base):
                 return value
             if isinstance(value, dict):
-                return read(self.section_of(value), value, info)
+                return validate_section(self.section_of(value), value, info)
             return otherwise(value)
 
         return core_schema.with_info_wrap_validator_function(

@@ -17,37 +17,37 @@ def schema_of(model: type[BaseModel]) -> dict[str, Any]:
 
     It is created only once, so callers must not change it.
     """
-    return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
+    return _unwrap_descriptions({"$schema": DRAFT, **model.model_json_schema()})
 
 
-def describe(loc: Loc, data: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a value in a file. Empty if there is none.
+def find_schema(loc: Loc, data: Any, file_schema: dict[str, Any]) -> dict[str, Any]:
+    """Find the schema of a value in a file. Empty if the file's schema does not describe the value.
 
     If the schema is a union, the `type` in the data selects the alternative.
 
     Args:
         loc: The location of the value.
         data: The file's data.
-        root: The schema of the file.
+        file_schema: The schema of the file.
     """
-    node = _resolved(root, data, root)
+    node = _choose_alternative(file_schema, data, file_schema)
     for step in loc:
-        data = child(data, step)
+        data = get_child(data, step)
         if isinstance(step, str):
-            others = node.get("additionalProperties")
-            others = others if isinstance(others, dict) else {}
-            node = node.get("properties", {}).get(step, others)
+            extra_schema = node.get("additionalProperties")
+            extra_schema = extra_schema if isinstance(extra_schema, dict) else {}
+            node = node.get("properties", {}).get(step, extra_schema)
         else:
             prefix = node.get("prefixItems", [])
             node = prefix[step] if step < len(prefix) else node.get("items") or {}
-        node = _resolved(node, data, root)
+        node = _choose_alternative(node, data, file_schema)
     return node
 
 
-def child(data: Any, step: str | int) -> Any:
-    """Return the value at a key or index.
+def get_child(data: Any, step: str | int) -> Any:
+    """Return the value at a key of a mapping, or at an index of a list.
 
-    None if it does not exist, or if the data has no entries.
+    None if there is no such entry, or if the data is a single value.
     """
     if isinstance(data, dict):
         return data.get(step)
@@ -56,31 +56,36 @@ def child(data: Any, step: str | int) -> Any:
     return None
 
 
-def alternatives(node: dict[str, Any], root: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the alternatives of a union schema, without null and with references resolved.
+def list_alternatives(node: dict[str, Any], file_schema: dict[str, Any]) -> list[dict[str, Any]]:
+    """List the alternatives of a union schema, without null and with references resolved.
 
-    Empty for any other schema.
+    The list is empty for any other schema.
     """
-    listed = node.get("anyOf") or node.get("oneOf") or []
-    return [_resolved(option, None, root) for option in listed if option.get("type") != "null"]
+    options = node.get("anyOf") or node.get("oneOf") or []
+    return [
+        _choose_alternative(option, None, file_schema)
+        for option in options
+        if option.get("type") != "null"
+    ]
 
 
-def tag(node: dict[str, Any]) -> str | None:
-    """Return the value of `type` that selects this alternative of a union.
+def get_type_name(node: dict[str, Any]) -> str | None:
+    """Return the value of `type` that selects an alternative of a union schema.
 
-    None if it has no type.
+    None if the alternative has no type.
     """
     return node.get("properties", {}).get("type", {}).get("const")
 
 
-def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
-    """Yield the dotted paths of all fields with this name, as `--set` takes them, at any depth.
+def find_field_paths(key: str, file_schema: dict[str, Any]) -> Iterator[str]:
+    """Yield the dotted paths of all fields with a given name, at any depth.
 
-    Each path occurs once. The index of every list is 0.
+    The paths have the form that `--set` accepts. Each path occurs once. The index of every list is
+    0.
     """
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
-        node = dereferenced(node, root)
+        node = resolve_reference(node, file_schema)
         for option in node.get("anyOf") or node.get("oneOf") or []:
             yield from walk(option, path)
         if isinstance(node.get("items"), dict):
@@ -90,54 +95,56 @@ def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
                 yield path + name
             yield from walk(field, f"{path}{name}.")
 
-    yield from dict.fromkeys(walk(root, ""))
+    yield from dict.fromkeys(walk(file_schema, ""))
 
 
-def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any]) -> dict[str, Any]:
+def _choose_alternative(
+    node: dict[str, Any], data: Any, file_schema: dict[str, Any]
+) -> dict[str, Any]:
     """Return the alternative of a union schema that the data selects.
 
-    That is the only alternative, or the one with the data's `type`, or the default's `type` if the
-    data has none, or the only alternative for mappings or lists. If none of these decides, the
-    schema is returned unchanged.
+    If there are several alternatives, the data's `type` decides, or else the type of the default
+    value. If neither decides, the only alternative for mappings or for lists is returned. If there
+    is no such alternative either, the schema is returned unchanged.
     """
-    node = dereferenced(node, root)
-    options = alternatives(node, root)
+    node = resolve_reference(node, file_schema)
+    options = list_alternatives(node, file_schema)
     if len(options) == 1:
-        about = {key: value for key, value in node.items() if key not in ("anyOf", "oneOf")}
-        return _resolved({**options[0], **about}, data, root)
-    wanted = data.get("type") if isinstance(data, dict) else None
-    if wanted is None and isinstance(node.get("default"), dict):
-        wanted = node["default"].get("type")
+        own_entries = {key: value for key, value in node.items() if key not in ("anyOf", "oneOf")}
+        return _choose_alternative({**options[0], **own_entries}, data, file_schema)
+    type_name = data.get("type") if isinstance(data, dict) else None
+    if type_name is None and isinstance(node.get("default"), dict):
+        type_name = node["default"].get("type")
         options = [option for option in options if "type" not in option.get("required", ())]
     for option in options:
-        if tag(option) is not None and tag(option) == wanted:
+        if get_type_name(option) is not None and get_type_name(option) == type_name:
             return option
-    kind = "object" if isinstance(data, dict) else "array"
-    fitting = [option for option in options if option.get("type") == kind]
-    return fitting[0] if len(fitting) == 1 else node
+    container_type = "object" if isinstance(data, dict) else "array"
+    matching = [option for option in options if option.get("type") == container_type]
+    return matching[0] if len(matching) == 1 else node
 
 
-def dereferenced(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema that a node's `$ref` names, merged with the node's other entries.
+def resolve_reference(node: dict[str, Any], file_schema: dict[str, Any]) -> dict[str, Any]:
+    """Resolve the `$ref` of a schema's node: merge the named schema with the node's other entries.
 
-    The node's own entries take precedence. A node without a `$ref` is returned as it is.
+    The node's own entries take precedence. A node without a `$ref` is returned unchanged.
     """
     if "$ref" not in node:
         return node
-    target = root["$defs"][node["$ref"].rpartition("/")[2]]
+    target = file_schema["$defs"][node["$ref"].rpartition("/")[2]]
     return {**target, **{key: value for key, value in node.items() if key != "$ref"}}
 
 
-def _unwrapped(value: Any) -> Any:
+def _unwrap_descriptions(value: Any) -> Any:
     """Replace line breaks by spaces in descriptions, at every depth.
 
     The descriptions come from docstrings, whose lines are wrapped.
     """
     if isinstance(value, dict):
         return {
-            key: " ".join(item.split())
-            if key == "description" and isinstance(item, str)
-            else _unwrapped(item)
-            for key, item in value.items()
+            key: " ".join(entry.split())
+            if key == "description" and isinstance(entry, str)
+            else _unwrap_descriptions(entry)
+            for key, entry in value.items()
         }
-    return [_unwrapped(item) for item in value] if isinstance(value, list) else value
+    return [_unwrap_descriptions(entry) for entry in value] if isinstance(value, list) else value

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from tetractl.core.registries import TRIAL_ROBOTS
 from tetractl.spec.base import Model
-from tetractl.spec.packages import missing, not_installed
+from tetractl.spec.packages import explain_missing, list_missing
 from tetractl.spec.registry_fields import OrMapping
 
 
@@ -61,7 +61,7 @@ class TrialRobots(Model):
         """Placeholders, one for each robot of a trial, until the trial has found its robots."""
 
 
-def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
+def find_rule(mapping: dict[Any, Any]) -> type[TrialRobots]:
     """Find the class of the rule that a spec's mapping `robots` selects by its key.
 
     Raises:
@@ -71,11 +71,11 @@ def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
     for name in installed:
         if name in mapping:
             return TRIAL_ROBOTS.load(name)
-    uninstalled = [name for name, _ in missing(TRIAL_ROBOTS.group, installed)]
+    uninstalled = [name for name, _ in list_missing(TRIAL_ROBOTS.group, installed)]
     for name in uninstalled:
-        why = not_installed(TRIAL_ROBOTS.group, name)
-        if name in mapping and why:
-            context = {"why": ": ".join(why), "key": name}
+        explanation = explain_missing(TRIAL_ROBOTS.group, name)
+        if name in mapping and explanation:
+            context = {"why": ": ".join(explanation), "key": name}
             raise PydanticCustomError("not_installed", "{why}", context)
     rules = ", ".join([*installed, *uninstalled])
     raise PydanticCustomError(
@@ -88,7 +88,7 @@ def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
 OrTrialRobots = partial(
     OrMapping,
     base=TrialRobots,
-    section_of=rule_of,
-    sections=lambda: TRIAL_ROBOTS.usable().values(),
+    section_of=find_rule,
+    sections=lambda: TRIAL_ROBOTS.load_usable().values(),
 )
 """Annotation of a field that holds a value, or a mapping by which trials find their robots."""

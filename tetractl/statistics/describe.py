@@ -17,7 +17,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.shown import NotebookDisplay
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
+from tetractl.spec.experiment import FIELDS_WITHOUT_EFFECT, Experiment
 from tetractl.statistics import mean_difference
 from tetractl.statistics.estimate import CONFIDENCE, Distribution, Interval, distributions
 from tetractl.statistics.mean_difference import MeanDifference, from_both_intervals
@@ -32,7 +32,7 @@ from tetractl.statistics.statistic import Figure, statistics
 PAIRS_MIN = 8
 """Minimum number of pairs for a verdict. Without pairs, the minimum number of trials per batch."""
 NO_PAIRS: Floats = np.zeros(0)
-_FIELDS_OUTSIDE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
+_FIELDS_OUTSIDE_WORLD = FIELDS_WITHOUT_EFFECT | {"controller", "name", "reference", "lab"}
 """Fields of a spec that do not change the disturbances of a trial."""
 
 
@@ -185,7 +185,7 @@ class Contrast(NotebookDisplay):
     @property
     def no_controller(self) -> bool:
         """Whether the directions of at least one batch were given, instead of chosen."""
-        return self.first.experiment.directions_given or self.second.experiment.directions_given
+        return self.first.experiment.gives_directions or self.second.experiment.gives_directions
 
     @property
     def reason(self) -> str | None:
@@ -322,7 +322,7 @@ def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
 
     The plants must be of the same kind, and controllers must have decided the directions.
     """
-    no_controller = first.experiment.directions_given or second.experiment.directions_given
+    no_controller = first.experiment.gives_directions or second.experiment.gives_directions
     return first.origin is second.origin and not no_controller
 
 

@@ -38,7 +38,7 @@ import numpy as np
 
 from tetractl.core.losses import STOOD_STILL_ENDINGS
 from tetractl.core.plan import Outcome
-from tetractl.core.setup import MM
+from tetractl.core.setup import MILLIMETRE_M
 from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.statistics.open_batch import Batch, errors_known, is_counted
@@ -230,7 +230,7 @@ def unconfirmed_heading_remarks(trials: Sequence[ResultSummary]) -> dict[str, li
             if abs(rate) <= CONFIRMED_ERRORS_MAX * result.verdict.turn_std[i]:
                 continue
             setup = trial.experiment.setup
-            distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MM
+            distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MILLIMETRE_M
             off_mm = abs(rate) * result.duration_s * distance_mm / 2
             observation = f"it turned by {rate:+.2f} rad/s on its own"
             consequence = f"if its wheels are equal, its position is up to {off_mm:.0f} mm off"

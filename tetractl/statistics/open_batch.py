@@ -13,7 +13,7 @@ from tetractl.core.shown import NotebookDisplay
 from tetractl.log.read.find import find_logs, is_set_aside, without_other_files
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
+from tetractl.spec.experiment import FIELDS_WITHOUT_EFFECT, Experiment
 from tetractl.tools.table.table import join_listed
 
 OnLog = Callable[[int, int], object]
@@ -306,11 +306,11 @@ def differences(first: Experiment, second: Experiment) -> list[str]:
     Fields that change no trial are left out. So are the robots, if both trials chose them by the
     same rule, and given directions, because each trial has its own.
     """
-    left_out: dict[str, Any] = dict.fromkeys(CHANGES_NO_TRIAL, True)
-    if first.chosen is not None and first.asked == second.asked:
+    left_out: dict[str, Any] = dict.fromkeys(FIELDS_WITHOUT_EFFECT, True)
+    if first.chosen is not None and first.stated_robots == second.stated_robots:
         left_out["robots"] = True
         left_out["chosen"] = True
-    if first.directions_given and second.directions_given:
+    if first.gives_directions and second.gives_directions:
         left_out["controller"] = {"directions"}
     first_fields = first.model_dump(mode="json", exclude=left_out)
     second_fields = second.model_dump(mode="json", exclude=left_out)

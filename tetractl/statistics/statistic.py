@@ -167,7 +167,7 @@ def statistics() -> list[Statistic]:
 
     Statistics of packages that cannot be loaded are left out.
     """
-    return list(STATISTICS.usable().values())
+    return list(STATISTICS.load_usable().values())
 
 
 def trial_items(trial: ResultSummary) -> dict[str, Any]:

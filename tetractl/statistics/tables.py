@@ -156,7 +156,7 @@ def figure_lines(group: BatchStatistics) -> Iterator[Figure]:
     Examples are the plant, the number of valid trials and the number of earlier attempts.
     """
     yield Figure("plant", str(group.origin), unusual=False)
-    if group.experiment.directions_given:
+    if group.experiment.gives_directions:
         yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
     if group.origin is Origin.DISTURBED:
         # the title of several batches says so

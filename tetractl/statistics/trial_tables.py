@@ -16,7 +16,7 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import printable
 from tetractl.core.loggable import (
-    ESTIMATE_FIELDS,
+    LOGGED_ESTIMATE_FIELDS,
     NUMBER_NAME_MAX,
     NUMBERS_MAX,
     STOP_REASON_MAX,
@@ -190,7 +190,7 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
         "dead_time": "s",
         "lag": "s",
     }
-    for field in ESTIMATE_FIELDS:
+    for field in LOGGED_ESTIMATE_FIELDS:
         rows = [_values_by_robot(step.estimate, field, n_robots) for step in steps]
         unit = units.get(field.removesuffix("_std"))
         name = field if unit is None else f"{field}_{unit}"

@@ -130,7 +130,7 @@ def given_directions_note(arms: Sequence[Arm]) -> str:
 
     The note is empty if there is no such arm.
     """
-    names = [arm.name for arm in arms if arm.spec.experiment.directions_given]
+    names = [arm.name for arm in arms if arm.spec.experiment.gives_directions]
     return f"{GIVEN_DIRECTIONS}: {', '.join(names)}" if names else ""
 
 

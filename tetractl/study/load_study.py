@@ -27,13 +27,19 @@ from tetractl.core.errors import printable
 from tetractl.core.registries import SWEEPS
 from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_hash
-from tetractl.spec.base import Model, Name, validated
+from tetractl.spec.base import Model, Name, validate_document
 from tetractl.spec.experiment import Trials
-from tetractl.spec.load import as_text, is_study, load_document, without_lines
+from tetractl.spec.load import format_as_json, is_study, load_document, omit_line_numbers
 from tetractl.spec.loaded_spec import LoadedSpec, arm_hash
 from tetractl.spec.registry_fields import KindSection
 from tetractl.spec.yaml.document import Document, parse_document, read_document
-from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
+from tetractl.spec.yaml.problems import (
+    InvalidSpecError,
+    Loc,
+    SpecProblem,
+    format_loc,
+    suggest_files,
+)
 from tetractl.spec.yaml.settings import SpecSetting
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
@@ -177,8 +183,8 @@ def load_study(
     """
     if isinstance(source, Path):
         return _check_and_load(read_document(source), source.parent, settings)
-    document = parse_document(as_text(source, "study"), "study")
-    with without_lines():
+    document = parse_document(format_as_json(source, "study"), "study")
+    with omit_line_numbers():
         return _check_and_load(document, Path(), settings)
 
 
@@ -209,10 +215,10 @@ def _load_base(study: Study, document: Document, folder: Path) -> Document:
         InvalidSpecError: If it cannot be read.
     """
     if isinstance(study.base, dict):
-        return parse_document(as_text(study.base, "base"), "base")
+        return parse_document(format_as_json(study.base, "base"), "base")
     path = folder / study.base
     if not path.exists():
-        message = f"there is no file {printable(str(path))}{near_files(path)}"
+        message = f"there is no file {printable(str(path))}{suggest_files(path)}"
         raise InvalidSpecError([document.problem_at(("base",), message, _base_file_name(study))])
     base = read_document(path)
     if is_study(base):
@@ -265,7 +271,7 @@ def _check_study(document: Document) -> Study:
         origin = document.origin
         hint = f"run it with: tetractl run {origin}; a study names it in its field 'base:'"
         raise InvalidSpecError([SpecProblem(origin, "is a spec, not a study")], hint)
-    study = validated(Study, document)
+    study = validate_document(Study, document)
     document.require_no_problems()
     return study
 
@@ -332,7 +338,7 @@ def _load_arm(
     trials_settings = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
         # contents have no lines that a problem could name
-        with without_lines() if isinstance(study.base, dict) else nullcontext():
+        with omit_line_numbers() if isinstance(study.base, dict) else nullcontext():
             spec = load_document(base, (*settings_texts, *trials_settings, *settings))
     except InvalidSpecError as error:
         problems = [_locate_in_study(problem, locations, document) for problem in error.problems]
@@ -370,7 +376,7 @@ def _locate_in_study(
     if problem.field not in ("", path):
         message = f"{problem.field}: {message}"
     located = document.problem_at(loc, message, problem.value)
-    return replace(located, field=dotted(loc))
+    return replace(located, field=format_loc(loc))
 
 
 def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]:

@@ -3,8 +3,8 @@
 Only this module and `worker_pool` start processes. No code in the current folder is run: a Python
 child starts with `-P`, or with PYTHONSAFEPATH if `multiprocessing` makes its command. So a
 `json.py` next to a spec is not imported instead of Python's own. The standard error of a child does
-not reach the terminal unchanged. Up to SAID_BYTES of it are kept, made printable, and shown with
-the name of the child.
+not reach the terminal unchanged. Up to OUTPUT_BYTES_MAX of it are kept, made printable, and shown
+with the name of the child.
 """
 
 import os
@@ -17,20 +17,21 @@ from typing import IO, Self
 
 from tetractl.core.errors import printable
 
-SAID_BYTES = 4096
-"""Maximum number of bytes of a child's output that are kept: its last bytes."""
+OUTPUT_BYTES_MAX = 4096
+"""Maximum number of bytes of a child's output that are kept. Only the last bytes are kept."""
 SHOWN_LINE_MAX = 300
 """Maximum number of characters of a line of a child that are shown."""
-READ_BYTES = 65536
+READ_BYTES_MAX = 65536
 """Maximum number of bytes that are read from a pipe at a time."""
-SAFE_PATH = "PYTHONSAFEPATH"
-"""The environment variable by which Python does not import from the current folder."""
+SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
+"""Environment variable that keeps Python from importing modules from the current folder."""
 
 
-def python(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module in another Python, without the current folder.
+def build_python_command(module: str, *arguments: str) -> list[str]:
+    """Build the command that runs a Python module in a new process.
 
-    The interpreter is the one of this process. The current folder is not searched for modules.
+    The process uses the interpreter of this process. It does not search the current folder for
+    modules.
     """
     return [sys.executable, "-P", "-m", module, *arguments]
 
@@ -42,10 +43,10 @@ class Child:
 
     Args:
         command: The program and its arguments.
-        fed: Whether `stdin` is a pipe. Otherwise, it is empty.
-        alone: Whether the process has a session of its own, which Ctrl-C of the terminal does not
+        has_stdin: Whether `stdin` is a pipe. Otherwise, it is empty.
+        own_session: Whether the process has its own session, which Ctrl-C in the terminal does not
             reach.
-        environment: Variables added to those of this process. None for none.
+        environment: Environment variables to add to those of this process. None to add none.
 
     Raises:
         OSError: If the process cannot be started.
@@ -54,16 +55,16 @@ class Child:
     def __init__(
         self,
         command: Sequence[str],
-        fed: bool = False,
-        alone: bool = False,
+        has_stdin: bool = False,
+        own_session: bool = False,
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
             command,
-            stdin=subprocess.PIPE if fed else subprocess.DEVNULL,
+            stdin=subprocess.PIPE if has_stdin else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            start_new_session=alone,
+            start_new_session=own_session,
             env={**os.environ, **(environment or {})},
         )
         self._output = bytearray()
@@ -119,19 +120,19 @@ class Child:
         A child of that process may keep the pipe open. This method does not wait for it.
         """
         self._listener.join(1.0)
-        return shown_lines(bytes(self._output))
+        return split_printable_lines(bytes(self._output))
 
     def _listen(self) -> None:
         stream = self._process.stderr
         assert stream is not None
         with stream, suppress(OSError, ValueError):
-            while data := os.read(stream.fileno(), READ_BYTES):
+            while data := os.read(stream.fileno(), READ_BYTES_MAX):
                 self._output += data
-                del self._output[:-SAID_BYTES]
+                del self._output[:-OUTPUT_BYTES_MAX]
 
 
 def run_tool(
-    command: Sequence[str], patience_s: float | None = None
+    command: Sequence[str], timeout_s: float | None = None
 ) -> subprocess.CompletedProcess[bytes]:
     """Run a tool, such as git or a compiler, and wait until it ends.
 
@@ -140,7 +141,7 @@ def run_tool(
     """
     try:
         return subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=patience_s
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout_s
         )
     except subprocess.TimeoutExpired as error:
         raise TimeoutError(f"{command[0]} does not end") from error
@@ -153,7 +154,7 @@ def open_in_browser(address: str) -> bool:
     return webbrowser.open(address)
 
 
-def shown_lines(output: bytes) -> list[str]:
+def split_printable_lines(output: bytes) -> list[str]:
     """Split an output into non-empty lines, each made printable and cut to SHOWN_LINE_MAX letters.
 
     Bytes that are not UTF-8 are replaced.

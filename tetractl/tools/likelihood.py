@@ -1,4 +1,4 @@
-"""Maximise a likelihood with Newton steps, and compute the intervals that follow."""
+"""Maximise a likelihood with Newton steps, and compute standard deviations and intervals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,20 +7,27 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 
-NORMAL = 1.96
-"""Distance of either end of a 95 % interval from the value, in standard deviations."""
-UNLIKELY = -1e12
-"""Log-likelihood of variants for which it cannot be computed."""
-DIFFERENCE = 0.1
-"""Step of each parameter by which derivatives are approximated."""
-STEP_MOST = 1.0
-SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
+Z_95 = 1.96
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
+LOG_LIKELIHOOD_MIN = -1e12
+"""Log-likelihood of parameters for which no finite likelihood can be computed."""
+DIFFERENCE_STEP = 0.1
+"""Step of each parameter with which derivatives are approximated."""
+STEP_MAX = 1.0
+"""Maximum change of a parameter in a Newton step."""
+STEP_FRACTIONS = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
 """Fractions of a Newton step that are tried."""
 
 
 @dataclass(frozen=True, slots=True)
 class SampleInterval:
-    """A value and its 95 % interval. An end is infinite if the data do not bound the value."""
+    """An estimated value with its 95 % interval.
+
+    Attributes:
+        value: The estimated value.
+        low: Lower end of the interval. -inf if the data do not bound the value from below.
+        high: Upper end of the interval. inf if the data do not bound the value from above.
+    """
 
     value: float
     low: float
@@ -35,7 +42,8 @@ def newton_step(
     Derivatives are approximated by differences. Each parameter has a normal prior around 0.
 
     Args:
-        likelihood: Returns the log-likelihood (N, V) for V variants of the parameters (N, V, P).
+        likelihood: Function that returns the log-likelihood (N, V) for V variants of the parameters
+            (N, V, P).
         parameters: The parameters, shape (N, P).
         prior_std: Standard deviation of the prior.
 
@@ -44,39 +52,53 @@ def newton_step(
     """
 
     def score(changes: Floats) -> Floats:
-        """Return ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters.
+        """Compute ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters.
 
-        Where it is not finite, it is UNLIKELY.
+        Where the result is not finite, it is LOG_LIKELIHOOD_MIN.
         """
         tried = parameters[:, None] + changes
         scores = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
-        return np.where(np.isfinite(scores), scores, UNLIKELY)
+        return np.where(np.isfinite(scores), scores, LOG_LIKELIHOOD_MIN)
 
     slope, curvature = derivatives(score, parameters.shape[1])
-    value, vector = np.linalg.eigh(curvature)
-    value = np.maximum(np.abs(value), prior_std**-2)  # a step uphill where the curve is hollow
-    step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, slope)
-    step = np.clip(step, -STEP_MOST, STEP_MOST)
-    best = score(SHARES[:, None] * step[:, None]).argmax(axis=1)
-    std = np.sqrt(np.einsum("nij,nj->ni", vector**2, 1 / value))
-    return parameters + SHARES[best][:, None] * step, std
+    eigenvalues, eigenvectors = np.linalg.eigh(curvature)
+    eigenvalues = np.maximum(
+        np.abs(eigenvalues), prior_std**-2
+    )  # a step uphill where the curve is hollow
+    step = np.einsum("nij,nj,nkj,nk->ni", eigenvectors, 1 / eigenvalues, eigenvectors, slope)
+    step = np.clip(step, -STEP_MAX, STEP_MAX)
+    best_index = score(STEP_FRACTIONS[:, None] * step[:, None]).argmax(axis=1)
+    std = np.sqrt(np.einsum("nij,nj->ni", eigenvectors**2, 1 / eigenvalues))
+    return parameters + STEP_FRACTIONS[best_index][:, None] * step, std
 
 
-def derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
-    """Compute the slope (N, P) and the negative curvature (N, P, P) of a score of P parameters.
+def derivatives(score: Callable[[Floats], Floats], parameter_count: int) -> tuple[Floats, Floats]:
+    """Approximate the slope and the negative curvature of a score by differences.
 
-    They are approximated by differences: each parameter is raised and lowered alone, and each pair
-    of parameters is raised together.
+    Each parameter is raised and lowered alone, and each pair of parameters is raised together.
+
+    Args:
+        score: Function that returns the score (N, V) after changes (1, V, P) of P parameters.
+        parameter_count: The number P of parameters.
+
+    Returns:
+        The slope, shape (N, P), and the negative curvature, shape (N, P, P).
     """
-    raised = DIFFERENCE * np.eye(size)
-    row, column = np.triu_indices(size, 1)
-    changes = np.vstack([np.zeros(size), raised, -raised, raised[row] + raised[column]])
+    steps = DIFFERENCE_STEP * np.eye(parameter_count)
+    row, column = np.triu_indices(parameter_count, 1)
+    changes = np.vstack([np.zeros(parameter_count), steps, -steps, steps[row] + steps[column]])
     scores = score(changes[None])
-    base, up, down, two_up = np.split(scores, (1, 1 + size, 1 + 2 * size), axis=1)
-    slope = (up - down) / (2 * DIFFERENCE)
-    curvature = np.zeros((len(base), size, size))
-    curvature[:, range(size), range(size)] = (2 * base - up - down) / DIFFERENCE**2
-    mixed = (up[:, row] + up[:, column] - base - two_up) / DIFFERENCE**2
-    curvature[:, row, column] = mixed
-    curvature[:, column, row] = mixed
+    base_score, raised_scores, lowered_scores, pair_scores = np.split(
+        scores, (1, 1 + parameter_count, 1 + 2 * parameter_count), axis=1
+    )
+    slope = (raised_scores - lowered_scores) / (2 * DIFFERENCE_STEP)
+    curvature = np.zeros((len(base_score), parameter_count, parameter_count))
+    curvature[:, range(parameter_count), range(parameter_count)] = (
+        2 * base_score - raised_scores - lowered_scores
+    ) / DIFFERENCE_STEP**2
+    mixed_curvature = (
+        raised_scores[:, row] + raised_scores[:, column] - base_score - pair_scores
+    ) / DIFFERENCE_STEP**2
+    curvature[:, row, column] = mixed_curvature
+    curvature[:, column, row] = mixed_curvature
     return slope, curvature

@@ -1,6 +1,6 @@
 """Report an unexpected error in a trial with plug-ins as one line that names the plug-ins.
 
-The program does not guess which of them is at fault. It keeps the calls that led to the error for
+The program does not guess which plug-in is at fault. It keeps the calls that led to the error for
 the log.
 """
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from traceback import extract_tb
 from typing import TextIO
 
-from tetractl.core.errors import TetractlError, text_of
+from tetractl.core.errors import TetractlError, describe_error
 
 HINT = (
     "PYTHONDEVMODE=1 prints the traceback; tetractl kinds --check MODULE:NAME --spec SPEC "
@@ -19,8 +19,8 @@ HINT = (
 )
 UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
 """Modules of Python that Windows does not have; the lab needs them."""
-COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
-"""Numbers of errors of the computer, such as a full disk."""
+COMPUTER_ERRNOS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
+"""Error numbers of `OSError` that come from the computer, such as a full disk."""
 CALLS_MAX = 20
 """Maximum number of calls of a traceback that are kept."""
 
@@ -36,7 +36,7 @@ class PluginTrialError(TetractlError):
 
 
 @contextmanager
-def plugins_named(packages: Mapping[str, str]) -> Iterator[None]:
+def name_plugins_in_errors(packages: Mapping[str, str]) -> Iterator[None]:
     """Raise PluginTrialError for an unexpected error, such as `sys.exit`, inside the `with` block.
 
     Args:
@@ -48,35 +48,39 @@ def plugins_named(packages: Mapping[str, str]) -> Iterator[None]:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        named = naming_plugins(error, packages)
-        if named:
-            raise named from error
+        plugin_error = create_plugin_error(error, packages)
+        if plugin_error:
+            raise plugin_error from error
         raise
 
 
-def naming_plugins(error: BaseException, packages: Mapping[str, str]) -> PluginTrialError | None:
-    """Return an error that also names the plug-ins of a spec.
+def create_plugin_error(
+    error: BaseException, packages: Mapping[str, str]
+) -> PluginTrialError | None:
+    """Create an error that names the plug-ins of a spec, for an unexpected error in a trial.
 
     Args:
         error: The error that was raised in a trial.
         packages: Version of each package whose kinds the spec uses.
 
     Returns:
-        None if the spec uses no plug-in, for a TetractlError, and for an error of the computer,
-        such as a full disk.
+        The new error. None if the spec uses no plug-in, if the error is a TetractlError, or if it
+        comes from the computer, such as a full disk.
     """
-    if not packages or isinstance(error, TetractlError) or _of_computer(error):
+    if not packages or isinstance(error, TetractlError) or _is_computer_error(error):
         return None
-    used = ", ".join(f"{name} {version}" for name, version in packages.items())
-    named = PluginTrialError(f"{text_of(error)}; the spec uses these plug-ins: {used}", HINT)
-    named.calls = tuple(
+    plugin_list = ", ".join(f"{name} {version}" for name, version in packages.items())
+    plugin_error = PluginTrialError(
+        f"{describe_error(error)}; the spec uses these plug-ins: {plugin_list}", HINT
+    )
+    plugin_error.calls = tuple(
         f"{call.filename}:{call.lineno} in {call.name}: {call.line}"
         for call in extract_tb(error.__traceback__)[-CALLS_MAX:]
     )
-    return named
+    return plugin_error
 
 
-def _of_computer(error: BaseException) -> bool:
+def _is_computer_error(error: BaseException) -> bool:
     """Check whether an error comes from the computer or its system instead of from the code.
 
     Examples are a full disk, and output that nobody reads.
@@ -87,7 +91,7 @@ def _of_computer(error: BaseException) -> bool:
         case BrokenPipeError():
             return _has_no_reader(sys.stdout)
         case OSError(errno=number):
-            return number in COMPUTERS
+            return number in COMPUTER_ERRNOS
         case ModuleNotFoundError(name=name):
             return name in UNIX_MODULES
     return False

@@ -17,7 +17,7 @@ def is_terminal(stream: IO[str] | None) -> bool:
     key reaches it, and its output goes into the notebook's file, so it does not count as a
     terminal.
     """
-    return stream is not None and stream.isatty() and not _is_in_a_cell(os.environ)
+    return stream is not None and stream.isatty() and not _is_in_notebook(os.environ)
 
 
 def has_keys() -> bool:
@@ -25,11 +25,11 @@ def has_keys() -> bool:
     return is_terminal(sys.stdin)
 
 
-def _is_in_a_cell(environment: Mapping[str, str]) -> bool:
+def _is_in_notebook(environment: Mapping[str, str]) -> bool:
     """Check whether a Jupyter kernel started this process.
 
     Jupyter sets JPY_PARENT_PID when it starts a kernel. Kernels that other programs start (such as
     VS Code) are known by the settings that every IPython kernel gives its child processes.
     """
-    of_ipykernel = {"TERM": "xterm-color", "CLICOLOR_FORCE": "1", "GIT_PAGER": "cat"}
-    return "JPY_PARENT_PID" in environment or of_ipykernel.items() <= environment.items()
+    ipykernel_settings = {"TERM": "xterm-color", "CLICOLOR_FORCE": "1", "GIT_PAGER": "cat"}
+    return "JPY_PARENT_PID" in environment or ipykernel_settings.items() <= environment.items()

@@ -18,21 +18,24 @@ from tetractl.core.trial import Note, Result, Step
 
 T = TypeVar("T")
 
-WAITING_MAX = 20_000
-"""Maximum number of items that wait between two threads.
+QUEUE_MAX = 20_000
+"""Maximum number of items in a queue between two threads: 3 minutes of frames at 120 Hz.
 
-Beyond it, the oldest are dropped. It corresponds to 3 minutes of camera frames at 120 Hz.
+If there are more items, the oldest are dropped.
 """
 POLL_S = 0.05
 """Maximum time that a thread without events waits, so that it notices a request to end [s]."""
 
 
-def drained(waiting: deque[T]) -> list[T]:
-    """Remove and return a queue's items, oldest first. Another thread may add items meanwhile."""
+def take_all(waiting: deque[T]) -> list[T]:
+    """Remove all items of a queue and return them, oldest first.
+
+    Another thread may add items meanwhile.
+    """
     return [waiting.popleft() for _ in range(len(waiting))]
 
 
-def _nothing() -> float | None:
+def _do_nothing() -> float | None:
     return None
 
 
@@ -45,10 +48,11 @@ class Worker:
     Args:
         name: Name of the thread.
         size: Maximum number of calls in the queue.
-        wait_s: Time for which the queue may stay full in `put` [s].
-        patience_s: Time in which it has to become empty in `drain` or `close` [s].
-        too_slow: The error for a queue that is too slow.
-        idle: Called after each call, and again after the time [s] that it returned. None ends that.
+        wait_s: Maximum time that `put` waits while the queue is full [s].
+        patience_s: Maximum time that `drain` and `close` wait until the queue is empty [s].
+        too_slow: The error that is raised if one of these times passes.
+        idle: Function that the thread calls after each call. It returns the time after which it is
+            called again [s]. None if it need not be called again.
         batch_s: Time for which calls are collected before they are made [s], because switching
             threads at every call may take longer than the calls.
     """
@@ -61,7 +65,7 @@ class Worker:
         wait_s: float,
         patience_s: float,
         too_slow: TetractlError,
-        idle: Callable[[], float | None] = _nothing,
+        idle: Callable[[], float | None] = _do_nothing,
         batch_s: float = 0.0,
     ) -> None:
         self._wait_s = wait_s
@@ -69,28 +73,28 @@ class Worker:
         self._too_slow = too_slow
         self._idle = idle
         self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
-        self._places = threading.Semaphore(size)
+        self._free_slots = threading.Semaphore(size)
         self._batch_s = batch_s
-        self._awaited = threading.Event()
+        self._wake_event = threading.Event()
         self.failure: Exception | None = None
-        self._raised = False
+        self._is_raised = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
     def put(self, call: Callable[..., object], *args: object) -> None:
-        """Queue the call `call(*args)`, which the thread of this worker will make.
+        """Queue the call `call(*args)`, which the worker's thread will make.
 
         If the queue is full, this waits up to `wait_s` and then fails with `too_slow`. After a
         failure, which is raised once, further calls are dropped.
         """
         self.check()
         if self.failure is None:
-            place = self._places.acquire(blocking=False)
-            if not place:
-                self._awaited.set()
-                place = self._places.acquire(timeout=self._wait_s)
-            if place:
-                self._calls.put(lambda: self._do(call, *args))
+            has_slot = self._free_slots.acquire(blocking=False)
+            if not has_slot:
+                self._wake_event.set()
+                has_slot = self._free_slots.acquire(timeout=self._wait_s)
+            if has_slot:
+                self._calls.put(lambda: self._make_call(call, *args))
             else:
                 self._fail(self._too_slow)
                 self.check()
@@ -110,29 +114,29 @@ class Worker:
         Nothing is raised: an error is left to the next call.
         """
         if self.failure is None:
-            done = threading.Event()
-            self._calls.put(done.set)
-            self._awaited.set()
-            if not done.wait(self._patience_s):
+            all_done = threading.Event()
+            self._calls.put(all_done.set)
+            self._wake_event.set()
+            if not all_done.wait(self._patience_s):
                 self._fail(self._too_slow)
 
     def check(self) -> None:
         """Raise `failure` if there is one and it was not raised before."""
-        if self.failure is not None and not self._raised:
-            self._raised = True
+        if self.failure is not None and not self._is_raised:
+            self._is_raised = True
             raise self.failure
 
-    def close(self, last: Callable[[], object] = _nothing) -> None:
-        """Make the calls in the queue and then `last`, even after a failure, and end the thread.
+    def close(self, last_call: Callable[[], object] = _do_nothing) -> None:
+        """Make the queued calls and then `last_call`, even after a failure, and end the thread.
 
         `close` never raises. To find out about errors, read `failure`, or call `check`. A second
         `close` does nothing. A thread that has stalled is abandoned.
         """
         if not self._thread.is_alive():
             return
-        self._calls.put(last)
+        self._calls.put(last_call)
         self._calls.put(None)
-        self._awaited.set()
+        self._wake_event.set()
         if self.failure is not self._too_slow:
             self._thread.join(self._patience_s)
             if self._thread.is_alive():
@@ -141,29 +145,29 @@ class Worker:
     def _fail(self, error: Exception) -> None:
         self.failure = self.failure or error
 
-    def _do(self, call: Callable[..., object], *args: object) -> None:
-        self._places.release()
+    def _make_call(self, call: Callable[..., object], *args: object) -> None:
+        self._free_slots.release()
         if self.failure is None or self.failure is self._too_slow:
             call(*args)
 
     def _work(self) -> None:
-        wait_s: float | None = None
+        idle_s: float | None = None
         while True:
             if self._batch_s and self._calls.empty():
-                self._awaited.wait(self._batch_s)
-                self._awaited.clear()
+                self._wake_event.wait(self._batch_s)
+                self._wake_event.clear()
             try:
-                call = self._calls.get(timeout=wait_s)
+                call = self._calls.get(timeout=idle_s)
             except queue.Empty:
-                call = _nothing
+                call = _do_nothing
             if call is None:
                 return
             try:
                 call()
-                wait_s = self._idle()
+                idle_s = self._idle()
             except Exception as error:
                 self._fail(error)
-                wait_s = None
+                idle_s = None
 
 
 class Relay(Observer):
@@ -171,7 +175,7 @@ class Relay(Observer):
 
     @abstractmethod
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Store a call, which is a function of the observer on which it will be made."""
+        """Store a call: a function that takes the observer on which the call will be made."""
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Store camera frames."""

@@ -16,39 +16,40 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from typing import Any, Self, TextIO, TypeVar
 
-from tetractl.tools.children import SAFE_PATH, SAID_BYTES, shown_lines
+from tetractl.tools.children import OUTPUT_BYTES_MAX, SAFE_PATH_VARIABLE, split_printable_lines
 
-R = TypeVar("R")
+CallResult = TypeVar("CallResult")
 
 LINES_MAX = 50
 """Maximum number of lines of all workers of a pool that are shown."""
-STARTS_MAX = 50
+RESTARTS_MAX = 50
 """Maximum number of attempts to start workers again."""
-START_S = 0.1
-"""Time before each of these attempts [s]."""
+RESTART_WAIT_S = 0.1
+"""Time before each attempt to start workers again [s]."""
 
-_starting = threading.RLock()
+_environment_lock = threading.RLock()
 
 
 @contextmanager
-def isolated() -> Iterator[None]:
-    """Start processes in the block such that they import nothing from the current folder.
+def exclude_current_folder() -> Iterator[None]:
+    """Let processes that start in the `with` block import nothing from the current folder.
 
-    `multiprocessing` starts these processes, which inherit an environment variable.
+    `multiprocessing` starts these processes. They inherit the environment variable
+    PYTHONSAFEPATH.
     """
-    with _starting:
-        before = os.environ.get(SAFE_PATH)
-        os.environ[SAFE_PATH] = "1"
+    with _environment_lock:
+        previous_value = os.environ.get(SAFE_PATH_VARIABLE)
+        os.environ[SAFE_PATH_VARIABLE] = "1"
         try:
             yield
         finally:
-            if before is None:
-                del os.environ[SAFE_PATH]
+            if previous_value is None:
+                del os.environ[SAFE_PATH_VARIABLE]
             else:
-                os.environ[SAFE_PATH] = before
+                os.environ[SAFE_PATH_VARIABLE] = previous_value
 
 
-def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
+def create_clean_context(preload: Sequence[str] = ()) -> BaseContext:
     """Create a context that starts workers as new processes, not as copies of this process.
 
     Copies would have the locks that this process's threads hold. Modules in `preload` are imported
@@ -61,7 +62,7 @@ def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
     return context
 
 
-def copying_context() -> BaseContext:
+def create_fork_context() -> BaseContext:
     """Create a context that starts workers as copies of this process, by `fork`."""
     return multiprocessing.get_context("fork")
 
@@ -72,11 +73,11 @@ class WorkerPool:
     At its end, it waits for running calls, and drops those that have not begun.
 
     Args:
-        context: Starts the processes.
+        context: Context of `multiprocessing` that starts the processes.
         workers: Number of processes.
-        who: Put before each line that a worker prints.
-        tell: Called with each of these lines.
-        prepare: Called first in each process. None for nothing.
+        line_prefix: Text that is put before each line that a worker prints.
+        print_line: Function that is called with each of these lines.
+        prepare: Function that each process calls first. None to call nothing.
         arguments: Arguments of `prepare`.
     """
 
@@ -84,17 +85,17 @@ class WorkerPool:
         self,
         context: BaseContext,
         workers: int,
-        who: str,
-        tell: Callable[[str], object],
+        line_prefix: str,
+        print_line: Callable[[str], object],
         prepare: Callable[..., object] | None = None,
         arguments: tuple[Any, ...] = (),
     ) -> None:
         self._receiver, self._sender = context.Pipe(duplex=False)
-        self._who = who
-        self._tell = tell
+        self._who = line_prefix
+        self._tell = print_line
         self._context: Any = context
-        start = self._sender, prepare, arguments
-        self._pool = ProcessPoolExecutor(workers, context, _start_worker, start)
+        worker_arguments = self._sender, prepare, arguments
+        self._pool = ProcessPoolExecutor(workers, context, _start_worker, worker_arguments)
         self._listener = threading.Thread(target=self._listen, name="workers", daemon=True)
         self._listener.start()
 
@@ -106,50 +107,50 @@ class WorkerPool:
         self._sender.close()
         self._listener.join(1.0)  # a worker's own child may keep the pipe open
 
-    def submit(self, call: Callable[..., R], *arguments: object) -> "Future[R]":
-        """Let a worker make a call.
+    def submit(self, call: Callable[..., CallResult], *arguments: object) -> "Future[CallResult]":
+        """Let a worker process call a function, and return the future result.
 
         If no worker can be started, for example because the server that starts them was killed, the
         future ends with BrokenProcessPool, as if a worker was killed.
         """
         try:
-            with isolated():
+            with exclude_current_folder():
                 return self._pool.submit(call, *arguments)
         except BrokenProcessPool as error:
-            return _lost(error)
+            return _create_failed_future(error)
         except (OSError, EOFError) as error:
             self._wait_for_server()
-            return _lost(BrokenProcessPool(str(error)))
+            return _create_failed_future(BrokenProcessPool(str(error)))
 
     def _wait_for_server(self) -> None:
         """Wait until a process can be started again, for a limited time.
 
         `multiprocessing` replaces a server that was killed once the system has removed it.
         """
-        for _ in range(STARTS_MAX):
-            time.sleep(START_S)
-            with suppress(OSError, EOFError), isolated():
+        for _ in range(RESTARTS_MAX):
+            time.sleep(RESTART_WAIT_S)
+            with suppress(OSError, EOFError), exclude_current_folder():
                 probe = self._context.Process(target=int)
                 probe.start()
                 probe.join()
                 return
 
     def _listen(self) -> None:
-        lines = 0
+        line_count = 0
         with suppress(OSError), os.fdopen(os.dup(self._receiver.fileno()), "rb") as stream:
-            while line := stream.readline(SAID_BYTES):
-                for text in shown_lines(line):
-                    lines += 1
-                    if lines <= LINES_MAX:
-                        self._tell(f"{self._who}: {text}")
-                    elif lines == LINES_MAX + 1:
+            while line := stream.readline(OUTPUT_BYTES_MAX):
+                for shown_line in split_printable_lines(line):
+                    line_count += 1
+                    if line_count <= LINES_MAX:
+                        self._tell(f"{self._who}: {shown_line}")
+                    elif line_count == LINES_MAX + 1:
                         self._tell(f"{self._who}: further output of this process is not shown")
 
 
-def _lost(error: BrokenProcessPool) -> "Future[Any]":
-    lost: Future[Any] = Future()
-    lost.set_exception(error)
-    return lost
+def _create_failed_future(error: BrokenProcessPool) -> "Future[Any]":
+    future: Future[Any] = Future()
+    future.set_exception(error)
+    return future
 
 
 def _start_worker(
@@ -159,11 +160,11 @@ def _start_worker(
         os.dup2(output.fileno(), descriptor)
     output.close()
     # the streams before may have text of another process, or be written by a thread of it
-    sys.stdout = _lines_to(1)
-    sys.stderr = _lines_to(2)
+    sys.stdout = _open_line_stream(1)
+    sys.stderr = _open_line_stream(2)
     if prepare is not None:
         prepare(*arguments)
 
 
-def _lines_to(descriptor: int) -> TextIO:
+def _open_line_stream(descriptor: int) -> TextIO:
     return open(descriptor, "w", buffering=1, errors="backslashreplace", closefd=False)

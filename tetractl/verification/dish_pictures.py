@@ -7,7 +7,7 @@ from bisect import bisect_right
 import numpy as np
 from PIL import Image
 
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Floats, GreyImage
 from tetractl.log.read.trial_log import TrialLog
 
 SHOWN_SIDE_MAX_PX = 720
@@ -62,7 +62,7 @@ class DishPictures:
         """
         return max(bisect_right(self.times_ns, when_ns) - 1, 0) if self.times_ns else None
 
-    def grey(self, index: int) -> Grey:
+    def grey(self, index: int) -> GreyImage:
         """Return the grey levels of an image, shape (height, width), with the upper row first."""
         return np.asarray(self._greys[index])
 

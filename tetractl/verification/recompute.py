@@ -21,7 +21,7 @@ from tetractl.control.search.optimizers.pso import Pso
 from tetractl.control.search.stop import reason_to_stop
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.loggable import DRAWN_PRECISION, drawn
+from tetractl.core.loggable import DRAWING_PRECISION, round_for_drawing
 from tetractl.core.plan import (
     PAUSE_S,
     Decision,
@@ -41,9 +41,9 @@ from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.controller import Host, OptimizerSection
-from tetractl.spec.experiment import packages
+from tetractl.spec.experiment import find_packages
 from tetractl.tools.kernels.kernel_cache import computing_s
-from tetractl.tools.plugin_fault import plugins_named
+from tetractl.tools.plugin_fault import name_plugins_in_errors
 from tetractl.verification.comparison import (
     SAME_BITS,
     Difference,
@@ -179,8 +179,8 @@ def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference
     difference = first_difference(same_path, logged, tolerance)
     if difference is None:
         if tolerance != SAME_BITS:
-            tolerance = replace(tolerance, relative=2 * DRAWN_PRECISION)
-        path = drawn(plan.path[..., :2])
+            tolerance = replace(tolerance, relative=2 * DRAWING_PRECISION)
+        path = round_for_drawing(plan.path[..., :2])
         difference = first_difference(path, logged.path[..., :2], tolerance, "path")
     return None if difference is None else difference.in_step(step.k)
 
@@ -206,7 +206,7 @@ def plan_again(
         is_after_previous = log.mocap_ns > previous.observation.sampled_ns
         rows_between = np.flatnonzero(is_after_previous & (log.mocap_ns < observation.sampled_ns))
         earlier_frames = [log.sample(int(row)).observation for row in rows_between]
-    with plugins_named(packages(log.experiment)):
+    with name_plugins_in_errors(find_packages(log.experiment)):
         return controller.plan(observation, last_command, earlier_frames)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tetractl.core.protocols import EMULATED_NAME
-from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, HALTS, Result
+from tetractl.core.trial import EMULATED_DEVICES_FACT, EMULATED_PLANT, HALTS_FACT, Result
 from tetractl.lab.guard import GuardState
 from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
@@ -80,9 +80,9 @@ def _check_emulation(log: TrialLog) -> Iterator[Difference]:
     plant = log.start.plant
     reports_emulation = any(EMULATED_NAME in value for value in plant.facts.values())
     is_emulated = log.experiment.plant.type == EMULATED_PLANT or reports_emulation
-    if is_emulated and not plant.facts.get(EMULATED_DEVICES):
+    if is_emulated and not plant.facts.get(EMULATED_DEVICES_FACT):
         problem = "does not say which devices are emulated"
-        yield Difference(None, f"run.facts.{EMULATED_DEVICES}", problem)
+        yield Difference(None, f"run.facts.{EMULATED_DEVICES_FACT}", problem)
 
 
 def _check_final_poses(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -92,7 +92,7 @@ def _check_final_poses(log: TrialLog, result: Result) -> Iterator[Difference]:
     poses may come from any frame.
     """
     final = result.verdict.final.array()
-    swim_on = log.start.plant.facts.get(HALTS) == "no"
+    swim_on = log.start.plant.facts.get(HALTS_FACT) == "no"
     frames = log.mocap if swim_on else log.mocap[-1:]
     if not any(np.array_equal(frame, final, equal_nan=True) for frame in frames):
         yield Difference(None, "result.final", "differs from the robots' last poses")

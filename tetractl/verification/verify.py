@@ -25,7 +25,7 @@ from tetractl.log.read.raw_log import ALTERED_TEXT, RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
-from tetractl.spec.experiment import packages
+from tetractl.spec.experiment import find_packages
 from tetractl.tools.table.terminal_table import LISTED_MAX
 from tetractl.verification import run_again
 from tetractl.verification.comparison import Difference, Unchecked, first_difference
@@ -280,7 +280,7 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
     The differences concern the processor, versions and the packages of the spec. The result is
     empty if nothing differs.
     """
-    plugin_versions = provenance.plugins(packages(log.experiment))
+    plugin_versions = provenance.plugins(find_packages(log.experiment))
     present_facts = {**provenance.host(), **provenance.versions(), **plugin_versions}
     return tuple(
         _describe_host_difference(key, log.facts.get(key), present_facts.get(key))

@@ -14,7 +14,7 @@ from html import escape
 import numpy as np
 from PIL import Image
 
-from tetractl.core.errors import TetractlError, unit_of
+from tetractl.core.errors import TetractlError, format_unit
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
 from tetractl.spec.loaded_spec import LoadedSpec
@@ -61,7 +61,7 @@ def result_html(value: object) -> str:
 def _(spec: LoadedSpec) -> str:
     experiment = spec.experiment
     setup = experiment.setup
-    unit = unit_of(setup.unit)
+    unit = format_unit(setup.unit)
     format_speed = create_length_format(float(np.max(setup.speed)))
     robots = Table(
         "",
@@ -90,7 +90,7 @@ def _(trial: TrialLog) -> str:
     if result is None:
         lines.append("the log ends before the end of the trial")
     else:
-        unit = unit_of(setup.unit)
+        unit = format_unit(setup.unit)
         format_error = create_length_format(result.total_error)
         error = f"total error {format_error(result.total_error)} {unit}"
         lines.append(f"{result.summary}, {result.duration_s:.1f} s: {error}")

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 
 from tetractl.core import colors
 from tetractl.core.errors import UsageError
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 
 INK = colors.INK
 GREY = colors.GREY
@@ -235,7 +235,7 @@ def save(drawing: Figure, path: Path, dpi: float = PRINT_DPI) -> None:
         path: The file.
         dpi: Resolution [dots per inch].
     """
-    save_whole(path, picture(drawing, file_format(path), dpi))
+    write_atomically(path, picture(drawing, file_format(path), dpi))
 
 
 def picture(drawing: Figure, wanted: str, dpi: float = PRINT_DPI) -> bytes:

@@ -27,7 +27,7 @@ from PIL import Image
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import LogError, UsageError, unit_of
+from tetractl.core.errors import LogError, UsageError, format_unit
 from tetractl.core.setup import Bounds
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
@@ -231,7 +231,7 @@ def _write_mp4(path: Path, pictures: Iterator[Picture], rate: int, hold_images: 
         "-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", "-fflags", "+bitexact", "-f", "mp4", str(path),
     ]  # fmt: skip
-    with Child(command, fed=True) as encoder:
+    with Child(command, has_stdin=True) as encoder:
         with suppress(BrokenPipeError):  # ffmpeg has ended, and its error message says why
             encoder.stdin.write(image.tobytes())
             for image in pictures:
@@ -319,7 +319,7 @@ class _ErrorCurve:
         axes.plot(self._times_s, recording.totals, color=style.FAINT, lw=1.2)
         axes.set_xlim(0, max(recording.log.elapsed_s(recording.end_ns), 1e-9))
         axes.set_ylim(0, 1.05 * float(np.nanmax(recording.totals, initial=1e-9)))
-        unit = unit_of(recording.log.start.setup.unit)
+        unit = format_unit(recording.log.start.setup.unit)
         axes.set(xlabel="time [s]", ylabel=f"total error [{unit}]")
         (self.line,) = axes.plot([], [], color=style.WHOLE, lw=1.5)
 
@@ -374,7 +374,7 @@ class _Numbers:
         The lines are the time, the plan, the total error, and the error of each robot. The line of
         the plan is empty without a plan.
         """
-        unit = unit_of(moment.setup.unit)
+        unit = format_unit(moment.setup.unit)
         step = moment.step
         time_text = f"{moment.time_s:.1f} s"
         plan = ""

@@ -24,7 +24,7 @@ from tetractl.core.poses import Sight
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.udp_port import UdpPort
 from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 SPEC = (TEMPLATES / "robots" / "vw.yaml").read_text().replace("@NAME@", "name: vw")
@@ -33,7 +33,7 @@ PACKET = struct.Struct("<hh")
 
 
 def vw(old="", new="", plant=None):
-    return on_plant(parse_spec(SPEC.replace(old, new), "vw.yaml"), plant).experiment
+    return select_plant(parse_spec(SPEC.replace(old, new), "vw.yaml"), plant).experiment
 
 
 def emulation(experiment, record=None):

@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 from tetractl.core.errors import TetractlError
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
-from tetractl.tools.cache import cache_folder, digest, read_own
-from tetractl.tools.children import run_tool, shown_lines
+from tetractl.tools.cache import cache_folder, digest_files, read_checked_file
+from tetractl.tools.children import run_tool, split_printable_lines
 
 _P = ctypes.c_void_p
 _U8 = ctypes.c_uint8
@@ -94,12 +94,12 @@ def load(name: str, folder: Path | None = None) -> Library:
     source_files = [
         source_file for code in c_files for source_file in (code, code.with_suffix(".h"))
     ]
-    source_digest = digest(source_files, " ".join(FLAGS))
+    source_digest = digest_files(source_files, " ".join(FLAGS))
     library_path = (
         folder or cache_folder()
     ) / f"{name}_core-{platform.machine()}-{source_digest}.so"
     try:
-        read_own(library_path)
+        read_checked_file(library_path)
     except OSError:  # it is missing, or another user's
         _build(c_files, library_path)
     library = ctypes.CDLL(str(library_path))
@@ -127,7 +127,7 @@ def _build(c_files: list[Path], path: Path) -> None:
         built_file = Path(scratch) / path.name
         result = run_tool([compiler_name, *FLAGS, *map(str, c_files), "-o", str(built_file)])
         if result.returncode:
-            message = (shown_lines(result.stderr) or ["no message"])[0]
+            message = (split_printable_lines(result.stderr) or ["no message"])[0]
             raise TetractlError(
                 f"{compiler_name} could not compile the robots' firmware: {message}"
             )

@@ -70,15 +70,15 @@ def emulate(
     import gc
     import signal
 
-    from tetractl.spec.plants import lab_of
+    from tetractl.spec.plants import get_lab
     from tetractl_emulator.emulated_lab import EmulatedLab
     from tetractl_emulator.script import NO_FAULTS, load_script
     from tetractl_emulator.sides import Options
 
-    loaded = ui.load(spec, sets)
-    lab = lab_of(loaded.experiment, loaded.name)
+    loaded = ui.load_spec_file(spec, sets)
+    lab = get_lab(loaded.experiment, loaded.name)
     fault_script = load_script(script, lab.camera.type, lab.actuator.type) if script else NO_FAULTS
-    trials_choose_robots = loaded.experiment.open
+    trials_choose_robots = loaded.experiment.must_choose_robots
     options = Options(
         address,
         command_port,
@@ -104,7 +104,7 @@ def emulate(
     with emulation:
         gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
         emulation.run()
-    ui.tell("the emulation has stopped")
+    ui.print_messages("the emulation has stopped")
     return Exit.DONE
 
 

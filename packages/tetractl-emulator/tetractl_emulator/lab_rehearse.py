@@ -17,7 +17,7 @@ from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
 from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 from tetractl.tools.table.table import pluralize
 from tetractl.tools.terminal import is_terminal
 
@@ -93,7 +93,7 @@ def rehearse(
     from tetractl.run.logged_trial import run_logged
     from tetractl.run.store import RecordStore
     from tetractl.spec.load import load_spec
-    from tetractl.spec.plants import on_plant
+    from tetractl.spec.plants import select_plant
     from tetractl_emulator.rehearsal.summary import (
         SUMMARY_FIELDS,
         describe_endings,
@@ -101,7 +101,7 @@ def rehearse(
         frequent_reasons,
     )
 
-    loaded = on_plant(ui.load(spec, sets), "emulated")
+    loaded = select_plant(ui.load_spec_file(spec, sets), "emulated")
     if loaded.experiment.plant.real_time:
         raise UsageError(
             "a rehearsal emulates the whole lab, but the spec says that a device of this lab "
@@ -111,9 +111,9 @@ def rehearse(
     loaded.experiment.plant.require_devices()
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     short_sets = (*(sets or ()), "controller.time_limit=1")
-    short_spec = on_plant(load_spec(spec, short_sets), "emulated")
+    short_spec = select_plant(load_spec(spec, short_sets), "emulated")
     # what it loads, no day has to load; no cells may have been found
-    allow_abort = suppress(AbortError) if loaded.experiment.open else nullcontext()
+    allow_abort = suppress(AbortError) if loaded.experiment.must_choose_robots else nullcontext()
     with tempfile.TemporaryDirectory() as scratch, allow_abort:
         faultless = run_logged(short_spec, Path(scratch))
         if faultless.outcome is Outcome.ABORTED:
@@ -133,10 +133,10 @@ def rehearse(
     start_s = time.monotonic()
     is_interrupted = False
     try:
-        with result_store.opened(), interrupted_once(), ui.progress("days") as show_progress:
+        with result_store.opened(), interrupted_once(), ui.show_progress("days") as show_progress:
             waiting_days = [day for day in day_indices if day not in rows]
             for done_count, row in enumerate(
-                call_in_workers(run_one_day, waiting_days, jobs, ui.tell), start=1
+                call_in_workers(run_one_day, waiting_days, jobs, ui.print_messages), start=1
             ):
                 result_store.add_record(row["day"], row)
                 show_progress(done_count, len(waiting_days))
@@ -152,15 +152,17 @@ def rehearse(
                     remaining_note = (
                         f", about {remaining} more" if done_count < len(waiting_days) else ""
                     )
-                    ui.tell(
+                    ui.print_messages(
                         f"{done_count} of {len(waiting_days)}{remaining_note}: "
                         f"day {row['day']}: {row['ended']}"
                     )
                 for name, at_s, finding in row["violations"]:
-                    ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
+                    ui.print_messages(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
     except KeyboardInterrupt:
         is_interrupted = True
-        ui.tell(f"interrupted; to continue, run the same command again with --out {folder}")
+        ui.print_messages(
+            f"interrupted; to continue, run the same command again with --out {folder}"
+        )
     completed_rows = [rows[day] for day in day_indices if day in rows]
     violating_rows = [row for row in completed_rows if row["violations"]]
     days_text = f"{len(completed_rows)} {pluralize('day', len(completed_rows))}"
@@ -199,29 +201,29 @@ def rehearse_day(
     """
     from tetractl.plant.lab_plant import RigSection
     from tetractl.spec.load import load_spec
-    from tetractl.spec.plants import on_plant
-    from tetractl.spec.yaml.core_yaml import dump
+    from tetractl.spec.plants import select_plant
+    from tetractl.spec.yaml.core_yaml import format_yaml
     from tetractl_emulator.rehearsal.day import run_day
     from tetractl_emulator.rehearsal.day_plan import plan_of_day
     from tetractl_emulator.rehearsal.summary import summarize_day
 
-    experiment = on_plant(load_spec(spec, sets), "emulated").experiment
+    experiment = select_plant(load_spec(spec, sets), "emulated").experiment
     lab = experiment.plant
-    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
+    assert isinstance(lab, RigSection), "`select_plant` has chosen a lab"
     if "deadline" in type(experiment.controller).model_fields:
         sets = (*sets, "controller.deadline=60")  # no search is cut short
-    plan = plan_of_day(seed, day, lab, experiment.setup, experiment.open, with_faults)
+    plan = plan_of_day(seed, day, lab, experiment.setup, experiment.must_choose_robots, with_faults)
     sets = (*sets, *plan.settings)
     with tempfile.TemporaryDirectory() as scratch:
         outcome = run_day(spec, sets, plan, Path(scratch))
         start_s = time.process_time()
-        experiment_of_day = on_plant(load_spec(spec, sets), "emulated").experiment
+        experiment_of_day = select_plant(load_spec(spec, sets), "emulated").experiment
         truth, violations = observe_day(outcome, experiment_of_day, lab)
         row = summarize_day(day, truth, violations, time.process_time() - start_s)
     if violations and folder is not None:
         about = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
-        text = dump(plan.script() | {"about": about})
-        save_whole(folder / f"seed-{seed}-day-{day}.yaml", text.encode())
+        text = format_yaml(plan.script() | {"about": about})
+        write_atomically(folder / f"seed-{seed}-day-{day}.yaml", text.encode())
     return row
 
 

@@ -15,7 +15,7 @@ from tetractl.core.errors import AbortError, SpecError
 from tetractl.spec.base import Finite, Model, Name, Point, with_tuples
 from tetractl.spec.explain_errors import describe_list, explain_in_words
 from tetractl.spec.yaml.document import Document, parse_document
-from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, suggest_similar
 from tetractl.spec.yaml.spec_files import read_text
 from tetractl_emulator.faults import MARK, Fault
 from tetractl_emulator.process import PROCESS_FAULTS
@@ -36,7 +36,7 @@ def _parse_fault(value: Any, info: ValidationInfo) -> Fault:
     name = str(value.get("fault")) if isinstance(value, dict) else ""
     if name not in kinds:
         message = (
-            f"the field fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
+            f"the field fault must be one of {', '.join(kinds)}{suggest_similar(name, list(kinds))}"
         )
         raise PydanticCustomError("fault", "{text}", {"text": message})
     return kinds[name].model_validate(value, strict=True)
@@ -198,7 +198,7 @@ def _to_problem(details: ErrorDetails, document: Document, classes: DeviceClasse
         if details["type"] == "extra_forbidden" and location[:-1] == ("emulation", name):
             field_names = list(side.Settings.model_fields)
             suggestion = (
-                did_you_mean(str(location[-1]), field_names)
+                suggest_similar(str(location[-1]), field_names)
                 or f"; known here: {', '.join(field_names)}"
             )
             return document.key(location).problem(location, f"unknown key{suggestion}")

@@ -19,7 +19,7 @@ from tetractl.core.commands import Action, Command
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.trial import EMULATED_DEVICES, REAL_DEVICE, PlantInfo
+from tetractl.core.trial import EMULATED_DEVICES_FACT, REAL_DEVICE_FACT, PlantInfo
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlant, RigSection
 
@@ -55,11 +55,15 @@ class EmulatedPlantSection(RigSection):
         """Describe which device is real and which is emulated.
 
         Returns:
-            The keys REAL_DEVICE and EMULATED_DEVICES, or an empty mapping if both are emulated.
+            The facts REAL_DEVICE_FACT and EMULATED_DEVICES_FACT. Empty if both devices are
+            emulated.
         """
         if self.real is None:
             return {}
-        return {REAL_DEVICE: self.real, EMULATED_DEVICES: ", ".join(self.emulated_devices)}
+        return {
+            REAL_DEVICE_FACT: self.real,
+            EMULATED_DEVICES_FACT: ", ".join(self.emulated_devices),
+        }
 
     @property
     def emulated_devices(self) -> tuple[str, ...]:
@@ -85,12 +89,12 @@ class EmulatedPlantSection(RigSection):
             InvalidSpecError: If the script is invalid.
         """
         from tetractl.spec.yaml.document import read_document
-        from tetractl.spec.yaml.spec_files import file_of_spec
+        from tetractl.spec.yaml.spec_files import resolve_path
         from tetractl_emulator.script import load_script
 
         if not isinstance(self.faults, str):
             return self
-        path = file_of_spec(folder, "lab.faults", self.faults)
+        path = resolve_path(folder, "lab.faults", self.faults)
         load_script(path, self.camera.type, self.actuator.type)
         return self.model_copy(update={"faults": read_document(path).data})
 
@@ -144,7 +148,7 @@ class EmulatedPlantSection(RigSection):
             AbortError: If `real` is set and the lab's devices cannot be real and emulated one by
                 one.
         """
-        from tetractl.spec.yaml.core_yaml import dump
+        from tetractl.spec.yaml.core_yaml import format_yaml
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
         from tetractl_emulator.script import NO_FAULTS, parse_script
         from tetractl_emulator.sides import Options
@@ -174,7 +178,7 @@ class EmulatedPlantSection(RigSection):
         types = self.camera.type, self.actuator.type
         script = NO_FAULTS
         if isinstance(faults, dict):
-            script = parse_script(dump(faults), "plant.faults", *types)
+            script = parse_script(format_yaml(faults), "plant.faults", *types)
         has_cells = chosen or self.actuator.type == "field"
         if self.real and (has_cells or self.camera.type == self.actuator.type):
             names = " and ".join(types)

@@ -44,7 +44,7 @@ BIG = {
 @pytest.mark.parametrize("name", BIG)
 def test_a_table_is_read_within_bounds(name, tmp_path, monkeypatch):
     """Regression: 20,000 rows of as many robots took 9.5 GB."""
-    monkeypatch.setattr(csv_rows, "CSV_ROWS", 2000)
+    monkeypatch.setattr(csv_rows, "CSV_ROWS_MAX", 2000)
     monkeypatch.setattr(csv_tracks, "POSES_MAX", 30_000)
     text, why = BIG[name]
     (tmp_path / "poses.csv").write_text(text)

@@ -32,7 +32,7 @@ from tetractl.tools.table.quantities import (
     create_order_error,
     find_column,
     find_time,
-    read_truth,
+    read_boolean,
     split_header,
 )
 from tetractl_identify.measured_poses import measured
@@ -179,7 +179,7 @@ class _TableColumns:
     def number(self, row: CsvRow, name: str) -> float:
         """Read the number in a column of a row. NaN if the row or the table has none."""
         column = self.by_name.get(name)
-        return math.nan if column is None else column.optional(self.path, row)
+        return math.nan if column is None else column.read_optional(self.path, row)
 
     def number_error(self, row: CsvRow, name: str, problem: str) -> UsageError:
         """Create the error for a wrong number in a table.
@@ -200,7 +200,7 @@ def _add_pose(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None
     trial.poses_path = columns.path
     robot = row.cells.get("robot", "")
     number = trial.robots.setdefault(robot, len(trial.robots))
-    valid = read_truth(columns.path, row, "valid")
+    valid = read_boolean(columns.path, row, "valid")
     time = trial.take_time(columns.path, row, columns.time, ("poses", robot))
     pose = [columns.number(row, name) for name in ("x", "y", "heading")]
     trial.poses.extend((time, number))

@@ -31,7 +31,7 @@ from scipy.special import chdtrc, stdtrit
 
 from tetractl.control.estimation.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats, Integers
-from tetractl.tools.likelihood import NORMAL, SampleInterval, newton_step
+from tetractl.tools.likelihood import Z_95, SampleInterval, newton_step
 from tetractl_identify.passes import (
     SPEED_BLOCK_S,
     PassPrior,
@@ -444,7 +444,7 @@ class _RobotFit:
         The interval has no upper end if the dead time counts as unknown. It is cut off at 0 if its
         upper end is above -RESOLVED_S.
         """
-        half_width = NORMAL * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
+        half_width = Z_95 * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
         minimum = 0.0 if self.tau + half_width >= -DEAD_TIME_RESOLUTION_S else -np.inf
         value_and_ends = self.tau, self.tau - half_width, self.tau + half_width
         return SampleInterval(*np.maximum(value_and_ends, minimum).tolist())
@@ -460,7 +460,7 @@ class _RobotFit:
             deviations[:, 0] = np.hypot(
                 deviations[:, 0], np.exp(self.mean[:, 0]) * RADIO_DELAY_ERROR_S
             )
-        half_widths = NORMAL * deviations
+        half_widths = Z_95 * deviations
         half_widths = np.where(half_widths > HALF_WIDTH_MAX, np.inf, half_widths)
         motion = np.stack([self.mean, self.mean - half_widths, self.mean + half_widths], axis=-1)
         motion[:, :2] = np.exp(motion[:, :2])
@@ -471,9 +471,9 @@ class _RobotFit:
         rows = np.arange(len(self.noise))
         value = np.abs(self.noise)
         value[:, ::2] = self.noise[:, ::2]
-        lower = value - NORMAL * self.noise_std
+        lower = value - Z_95 * self.noise_std
         lower[:, 1::2] = np.maximum(lower[:, 1::2], 0.0)
-        upper = value + NORMAL * self.noise_std
+        upper = value + Z_95 * self.noise_std
         ends = [self._to_deviations(rows, parameters) for parameters in (value, lower, upper)]
         return np.stack(ends, axis=-1)
 
@@ -535,4 +535,4 @@ def widening_from_blocks(curvatures: Floats) -> Floats:
     """
     information = np.maximum(curvatures, 0.0)
     blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)
-    return np.asarray(stdtrit(np.maximum(blocks - 1, 1.0), 0.975) / NORMAL)
+    return np.asarray(stdtrit(np.maximum(blocks - 1, 1.0), 0.975) / Z_95)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.poses import Floats, Integers
-from tetractl.tools.likelihood import NORMAL, SampleInterval
+from tetractl.tools.likelihood import Z_95, SampleInterval
 from tetractl_identify.fit import widening_from_blocks
 from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, robust_gains
 
@@ -75,7 +75,7 @@ def heading_offset(steps: DrivenSteps, in_one_ratio: bool) -> SampleInterval:
     ahead = sense * length * steps.turn_sent / way
     slip = length * way * steps.turn_sent / steps.duration_s**2
     gain, std = _first_gain(np.column_stack([length, ahead, slip]), aside, steps.block)
-    reach = min(NORMAL * std, math.pi)
+    reach = min(Z_95 * std, math.pi)
     return SampleInterval(mean + gain, mean + gain - reach, mean + gain + reach)
 
 

@@ -9,7 +9,7 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.log.read.find import find_logs
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 
 if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
@@ -79,7 +79,7 @@ def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int
 
     tracks = csv_tracks(tables)
     for track in tracks:
-        ui.tell(*(f"warning: {remark}" for remark in track.remarks))
+        ui.print_messages(*(f"warning: {remark}" for remark in track.remarks))
     are_speeds = tracks[0].twists.size > 0
     if are_speeds:
         _refuse_file_of_response(out)
@@ -144,7 +144,7 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
         if trial.damage is not None:
             damaged = True
         if not any(command.direction is not None for command in trial.commands):
-            ui.tell(f"warning: {path}: this log has no direction that was sent")
+            ui.print_messages(f"warning: {path}: this log has no direction that was sent")
             continue
         tracks.append(wheels_of(trial) if wheels else track_of(trial))
         if first is None:
@@ -172,12 +172,12 @@ def _show_response(tracks: "list[Track]", as_json: bool) -> None:
     commands = sum(len(track.sent) for track in tracks)
     origin = ", ".join(dict.fromkeys(track.origin for track in tracks))
     title = f"{commands} commands: {origin}; 95 % intervals"
-    ui.show(as_json, responses, [response_table(responses, title, tracks[0].unit)])
+    ui.print_results(as_json, responses, [response_table(responses, title, tracks[0].unit)])
 
 
 def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
-    from tetractl.spec.yaml.core_yaml import dump
+    from tetractl.spec.yaml.core_yaml import format_yaml
     from tetractl_identify.identify import (
         spec_section,
         tables,
@@ -185,11 +185,11 @@ def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) ->
     )
 
     robots = without_unsure_intervals(robots)
-    ui.show(as_json, robots, tables(robots))
+    ui.print_results(as_json, robots, tables(robots))
     if out is None:
         return
     when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     section = spec_section(robots, when).model_dump(mode="json", exclude_none=True)
-    save_whole(out, dump(section).encode())
+    write_atomically(out, format_yaml(section).encode())
     if not as_json:
         print(f"wrote {out}; to use it, add this line to the spec: identified: {out.name}")

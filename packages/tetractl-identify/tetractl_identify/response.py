@@ -33,7 +33,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from tetractl.core.poses import Floats
-from tetractl.tools.likelihood import NORMAL, UNLIKELY, SampleInterval, derivatives
+from tetractl.tools.likelihood import LOG_LIKELIHOOD_MIN, Z_95, SampleInterval, derivatives
 from tetractl_identify.driven_steps import (
     DEAD_TIME_UNIT_S,
     UsedSteps,
@@ -136,7 +136,7 @@ def _search(steps: UsedSteps, units: ResponseParameters) -> tuple[Floats, Floats
             turns = whitened_turns(steps, parameters).restricted_likelihood()
             ways = whitened_ways(steps, parameters).restricted_likelihood()
             scores[i] = turns + ways - np.square(vector).sum() / (2 * PRIOR_STD**2)
-        return np.where(np.isfinite(scores), scores, UNLIKELY)
+        return np.where(np.isfinite(scores), scores, LOG_LIKELIHOOD_MIN)
 
     lags = np.log(GRID_TURNING_LAGS_S / LAG_UNIT_S)
     grid = list(product(GRID_DEAD_TIMES_S / DEAD_TIME_UNIT_S, lags))
@@ -273,7 +273,7 @@ def _inverse(curvature: Floats) -> Floats:
 
 def _normal(value: float, std: float) -> SampleInterval:
     """Create the 95 % interval of a normally distributed value with this standard deviation."""
-    reach = NORMAL * std
+    reach = Z_95 * std
     return SampleInterval(value, value - reach, value + reach)
 
 
@@ -282,7 +282,7 @@ def _dead_time(value: float, std: float) -> SampleInterval:
 
     Its ends are infinite if the data do not limit the dead time to within UNKNOWN_S.
     """
-    if NORMAL * std > UNKNOWN_S:
+    if Z_95 * std > UNKNOWN_S:
         return SampleInterval(value, -math.inf, math.inf)
     return _normal(value, math.hypot(std, RESOLVED_S))
 
@@ -301,7 +301,7 @@ def _log_normal(value: float, std: float) -> SampleInterval:
 
     It reaches from 0 to infinity if the logarithm is uncertain by more than UNKNOWN.
     """
-    reach = NORMAL * std
+    reach = Z_95 * std
     if reach > UNKNOWN:
         return SampleInterval(value, 0.0, math.inf)
     return SampleInterval(value, value * math.exp(-reach), value * math.exp(reach))

@@ -40,7 +40,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.run.open_trial import OpenTrial
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl_learn.policy import features, features_of
 
 GAP_MAX = 2.0
@@ -215,7 +215,7 @@ def greatest_error(setup: Setup) -> float:
 
 def register_examples() -> None:
     """Register each shipped benchmark as an environment, "tetractl/NAME-v0"."""
-    for name, file in examples().items():
+    for name, file in find_examples().items():
         group, _, short = name.rpartition("/")
         if group == BENCHMARKS:
             gymnasium.register(

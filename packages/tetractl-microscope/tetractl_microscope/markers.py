@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option
 from tetractl.core.errors import Exit, UsageError
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,13 +61,13 @@ def markers(
 
     Example: tetractl lab markers shelf.yaml -o markers.pdf
     """
-    from tetractl.spec.plants import lab_of
+    from tetractl.spec.plants import get_lab
     from tetractl_microscope.apriltag.section import AprilTagSection
 
     if paper not in PAPERS:
         raise UsageError(f"--paper {paper}: must be {', '.join(PAPERS)}")
-    loaded = ui.load(spec, sets)
-    camera = lab_of(loaded.experiment, loaded.name).camera
+    loaded = ui.load_spec_file(spec, sets)
+    camera = get_lab(loaded.experiment, loaded.name).camera
     if not isinstance(camera, AprilTagSection):
         raise UsageError(
             f"{loaded.name}: lab.camera has type {camera.type}, which uses no tags",
@@ -89,9 +89,9 @@ def markers(
         for tag in camera.floor
     ]
     pages = [draw_page(PAPERS[paper], page) for page in arrange_cards(PAPERS[paper], cards)]
-    save_whole(out, _pdf(pages))
+    write_atomically(out, _pdf(pages))
     print(out)
-    ui.tell(
+    ui.print_messages(
         f"wrote {len(cards)} tags on {len(pages)} pages of {paper} paper; print them "
         "without scaling"
     )

@@ -11,7 +11,7 @@ from tetractl.cli import ui
 from tetractl.cli.lab import save_calibration, watched_by_operator
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
 from tetractl.core.errors import Exit, UsageError
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 from tetractl.tools.table.table_files import format_json
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ def survey(
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
     from tetractl.core.protocols import LabSupervision
-    from tetractl.spec.plants import lab_of, on_plant
-    from tetractl.spec.yaml.core_yaml import dump
+    from tetractl.spec.plants import get_lab, select_plant
+    from tetractl.spec.yaml.core_yaml import format_yaml
     from tetractl.spec.yaml.document import parse_document
     from tetractl.spec.yaml.settings import with_settings
     from tetractl_microscope.cells.section import CellsSection
@@ -90,12 +90,12 @@ def survey(
     from tetractl_microscope.choice.section import Choice
     from tetractl_microscope.handedness import describe_handedness, watch_turning
 
-    loaded = ui.load(spec, sets)
-    experiment = on_plant(loaded, plant).experiment
+    loaded = ui.load_spec_file(spec, sets)
+    experiment = select_plant(loaded, plant).experiment
     if micrometer is not None:
         out = Path("calibration.yaml") if out is None else out
         ui.refuse_existing(out)
-        camera = lab_of(experiment, loaded.name).camera
+        camera = get_lab(experiment, loaded.name).camera
         if not isinstance(camera, CellsSection):
             raise UsageError(
                 f"a camera of type {camera.type} cannot be calibrated with a micrometer"
@@ -103,7 +103,7 @@ def survey(
         return save_calibration(out, camera.measured_by(*_parse_micrometer(micrometer)))
     choice = experiment.chosen
     unit = experiment.units.length
-    if not isinstance(choice, Choice) or not experiment.open:
+    if not isinstance(choice, Choice) or not experiment.must_choose_robots:
         raise UsageError(
             f"{spec}: the spec lists its robots, so the survey has no cells to choose from",
             "to let a survey choose the cells, write `robots: {choose: N, ...}` into the spec",
@@ -118,14 +118,14 @@ def survey(
     ):
         cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
     wrong, turning = describe_handedness(turned)
-    ui.tell(*(f"warning: {problem}" for problem in wrong))
+    ui.print_messages(*(f"warning: {problem}" for problem in wrong))
     pairs = list(similar_pairs(cells))
     if not as_json:
         _print_cells(cells, pairs, unit)
         print(f"turning: {turning}")
 
     def report_progress(count: int, total: int) -> None:
-        ui.tell(f"prediction {count} of {total}")
+        ui.print_messages(f"prediction {count} of {total}")
 
     choices = rank_choices(
         experiment, cells, Noise.from_plant(loaded.experiment.plant), plans, report_progress
@@ -169,7 +169,7 @@ def survey(
                 f"any {choice.choose} of the cells include two that cannot be distinguished "
                 "after they have met"
             )
-        ui.tell(f"no choice of these cells can be steered to the targets: {reason}")
+        ui.print_messages(f"no choice of these cells can be steered to the targets: {reason}")
         return Exit.FAILED
     if out is not None:
         data = with_settings(parse_document(loaded.text, str(spec)), sets or []).data
@@ -178,8 +178,8 @@ def survey(
         ]
         data["robots"]["wanted"] = wanted_cells
         _rebase_file_names(data, spec.parent, out.parent)
-        save_whole(out, dump(data).encode())
-        ui.tell(f"wrote {out}: a trial of this spec finds the same cells again")
+        write_atomically(out, format_yaml(data).encode())
+        ui.print_messages(f"wrote {out}: a trial of this spec finds the same cells again")
     return Exit.DONE
 
 

@@ -99,25 +99,25 @@ def track(
     directions = None if field is None else read_field(field, y_down)
     remarks: list[str] = []
     spots = spot_tracks(tracks, scale, rate, remarks)
-    ui.tell(*remarks)
+    ui.print_messages(*remarks)
     cells = swimming_tracks(tracks, spots, directions is not None)
-    ui.tell(*cells.remarks)
+    ui.print_messages(*cells.remarks)
     if directions is not None and field is not None:
-        ui.tell(*clock_remarks(directions, str(field), str(tracks), *cells.span_s))
+        ui.print_messages(*clock_remarks(directions, str(field), str(tracks), *cells.span_s))
         readings = other_readings(str(field), directions, cells.period_s, "cells")
         readings.append(mirror_reading(str(tracks), str(field), directions, "cells"))
         rows = [path.rows for path in cells.paths]
         check_directions(str(field), courses(rows), directions, SHORT_DELAYS_S, readings)
-        ui.tell(*side_remarks(directions, rows))
+        ui.print_messages(*side_remarks(directions, rows))
     together = stage_remarks(cells.paths, directions)
-    ui.tell(*together)
+    ui.print_messages(*together)
     swimmer = organism_by_speed(cells.paths) if kind is None else kind
-    with ui.progress("Fitting"):
+    with ui.show_progress("Fitting"):
         record = track_record(tracks, cells, swimmer, None if together else directions)
-    ui.show(as_json, record, cell_tables(record))
+    ui.print_results(as_json, record, cell_tables(record))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         with open_table_files({"cells": out / "cells.csv"}) as add:
             add("cells", cell_data(record), "")
-        ui.tell(printable(f"wrote {out}: cells.csv"))
+        ui.print_messages(printable(f"wrote {out}: cells.csv"))
     return Exit.DONE

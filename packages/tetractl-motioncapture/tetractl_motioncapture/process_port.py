@@ -9,7 +9,7 @@ import signal
 from tetractl.core.clock import host_ns
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
-from tetractl.tools.children import Child, python
+from tetractl.tools.children import Child, build_python_command
 
 
 class ProcessPort(ClientPort):
@@ -26,7 +26,9 @@ class ProcessPort(ClientPort):
 
     def open(self, exclusive: bool = True) -> None:
         """Start the child process and the thread that reads its output."""
-        self._process = Child(python("tetractl_motioncapture.bridge", self._name), alone=True)
+        self._process = Child(
+            build_python_command("tetractl_motioncapture.bridge", self._name), own_session=True
+        )
         super().open(exclusive)
 
     def connect(self) -> None:

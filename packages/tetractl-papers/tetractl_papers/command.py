@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError
-from tetractl.spec.yaml.problems import did_you_mean
+from tetractl.spec.yaml.problems import suggest_similar
 from tetractl.tools.table.table_files import format_json
 from tetractl.tools.table.terminal_table import print_tables
 from tetractl_papers.registries import PAPERS
@@ -35,7 +35,7 @@ def reproduce(
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
     from tetractl.api.batches import run_batch
-    from tetractl.spec.examples import examples
+    from tetractl.spec.examples import find_examples
     from tetractl_papers.claim import assess
     from tetractl_papers.paper import Paper, items, table
     from tetractl_papers.trials import run_arms
@@ -43,7 +43,7 @@ def reproduce(
     names = PAPERS.names() if all_papers else papers or []
     for name in names:
         if name not in PAPERS:
-            text = f"there is no paper named '{name}'{did_you_mean(name, PAPERS.names())}"
+            text = f"there is no paper named '{name}'{suggest_similar(name, PAPERS.names())}"
             raise UsageError(text, f"the known papers are {', '.join(PAPERS.names())}")
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
@@ -52,7 +52,7 @@ def reproduce(
     unexpected = 0
     for name in names:
         paper: Paper = PAPERS.load(name)
-        results = run_arms(paper, out / name, examples(), trials, complete, ui.tell)
+        results = run_arms(paper, out / name, find_examples(), trials, complete, ui.print_messages)
         rows = [assess(claim, results) for claim in paper.claims]
         described[name] = {"source": paper.source, "figures": [items(row) for row in rows]}
         if not as_json:
@@ -60,7 +60,7 @@ def reproduce(
         differing = [row for row in rows if row.verdict is not row.claim.expected]
         for row in differing:
             claim = row.claim
-            ui.tell(
+            ui.print_messages(
                 f"{name}: {claim.figure}: the result is {row.verdict}, but the page "
                 f"states {claim.expected}"
             )

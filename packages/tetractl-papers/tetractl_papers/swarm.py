@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 
-from tetractl.core.errors import unit_of
+from tetractl.core.errors import format_unit
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
@@ -49,7 +49,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     log = one_trial(logs)
     need_steps(log)
     history = first_swarm(log, SHOWN)
-    unit = unit_of(log.start.setup.unit)
+    unit = format_unit(log.start.setup.unit)
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)
     (panels,) = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)
     shades = [_shades(axes, history) for axes in panels]

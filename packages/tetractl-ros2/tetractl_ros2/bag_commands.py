@@ -6,7 +6,7 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import Log, argument, option, out_option
 from tetractl.core.errors import Exit, UsageError, printable
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import write_atomically
 
 
 def rosbag_tables(
@@ -45,7 +45,7 @@ def rosbag_tables(
         tables["commands.csv"] = command_table(contents)
     out.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
-        save_whole(out / name, format_csv(table).encode())
+        write_atomically(out / name, format_csv(table).encode())
         print(printable(str(out / name)))
     return Exit.DONE
 

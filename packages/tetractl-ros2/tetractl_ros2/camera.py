@@ -15,7 +15,7 @@ from functools import partial
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.errors import AbortError, printable, text_of
+from tetractl.core.errors import AbortError, describe_error, printable
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
@@ -23,7 +23,7 @@ from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.stamp_clock import StampClock
 from tetractl.lab.serial_port import UNREADABLE, PortFactory
 from tetractl.spec.lab_section import entry
-from tetractl.tools.worker import drained
+from tetractl.tools.worker import take_all
 from tetractl_ros2.body_readings import BodySighting, read_sightings, without_slash
 from tetractl_ros2.frame_group import FrameGroup, Readings, RobotReading
 from tetractl_ros2.ros2_messages import Bool
@@ -165,7 +165,7 @@ class Ros2Camera:
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame since the last call, oldest first."""
-        return drained(self._waiting_frames)
+        return take_all(self._waiting_frames)
 
     def _has_all_poses(self) -> bool:
         """Check whether each robot has a pose in its last reading."""
@@ -302,7 +302,9 @@ class Ros2Camera:
             body_sightings = read_sightings(self.section.message, self._message.deserialize(data))
         except UNREADABLE as error:
             self.damaged += 1
-            self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
+            self._first_damaged = (
+                self._first_damaged or f"{describe_error(error)}, in {data[:60]!r}"
+            )
             return
         poses_by_stamp: dict[int, dict[int, Pose | None]] = {}
         for sighting in body_sightings:

@@ -13,7 +13,7 @@ from typing import Any, Protocol, get_args, runtime_checkable
 
 from pydantic import ValidationError
 
-from tetractl.core.errors import UsageError, text_of
+from tetractl.core.errors import UsageError, describe_error
 from tetractl.core.setup import Setup
 from tetractl.model.motion.motion import Motion
 from tetractl.spec.base import Model
@@ -74,7 +74,7 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Findi
     try:
         kind = resolve_name(code)
     except (Exception, SystemExit) as error:  # a module may raise anything, or leave
-        raise UsageError(f"{code}: cannot be imported: {text_of(error)}") from None
+        raise UsageError(f"{code}: cannot be imported: {describe_error(error)}") from None
     if isinstance(kind, Motion):
         return findings_of(partial(check_motion, kind))
     if isinstance(kind, type) and issubclass(kind, Model) and issubclass(kind, Checked):

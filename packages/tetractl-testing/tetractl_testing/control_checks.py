@@ -221,7 +221,7 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     only.
     """
     if any(section.contradictions(setup)):
-        setup = setup.only([0])  # some controllers steer one robot
+        setup = setup.select_robots([0])  # some controllers steer one robot
     limit_s = (STEPS_MAX + 1) * section.period
     section = section.model_copy(update={"time_limit": limit_s, "arrival_tolerance": 20.0})
     setup = replace(setup, period_s=section.period, time_limit_s=limit_s)

@@ -18,7 +18,7 @@ from testkit.emulator.virtual_lab import Busy, VirtualLab, virtual_lab
 from testkit.paths import ROOT
 from testkit.recorder import Recorder
 from tetractl import TrialLog
-from tetractl.core.trial import EPOCH_NS, PlantInfo, TrialRecords
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, TrialRecords
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.sim_section import SimSection
@@ -27,7 +27,7 @@ from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.load import load_spec
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (
@@ -118,6 +118,6 @@ def lab_trial(
         inner = build_controller(experiment, key)
         path = Recorder()
         busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
-        start = start_of(spec, trial, PlantInfo("", False, 0.0, {}), EPOCH_NS)
+        start = create_start(spec, trial, PlantInfo("", False, 0.0, {}), SIMULATED_START_NS)
         Trial(start, lab.plant, busy, lab.clock, [path], Interrupt()).run()
     return path.trial

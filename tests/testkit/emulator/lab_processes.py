@@ -23,7 +23,7 @@ from tetractl_emulator.sides import Options
 from testkit.lab_specs import SPEC as TWO
 from testkit.paths import ROOT
 from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import lab_of
+from tetractl.spec.plants import get_lab
 
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
@@ -280,7 +280,7 @@ def script_of(script, lab):
 def emulated(folder, *sets, script=NO_FAULTS, tell=None, spec=TWO, **options):
     """Return an EmulatedLab on this computer's wires, not yet entered; `script` may be YAML."""
     loaded = parse_spec(spec, "emulated.yaml", sets)
-    lab = lab_of(loaded.experiment, loaded.name)
+    lab = get_lab(loaded.experiment, loaded.name)
     places = {"port_link": Path(folder) / "radio", "record": Path(folder) / "record.jsonl"}
     chosen = Options(command_port=0, data_port=0, **places, **options)
     extra = {} if tell is None else {"report": tell}

@@ -5,7 +5,7 @@ from pathlib import Path
 import tetractl
 from tetractl.log.read.reader import read_trial
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 from tetractl.statistics.flagged import Flagged, flagged
 
 SEED = 71_930_412
@@ -18,7 +18,7 @@ def flagged_trials(spec: Path, folder: Path) -> list[Flagged]:
     """Run trials of a spec in its emulated lab; return those that a table would flag, except for
     cells that have met."""
     loaded = load_spec(spec, [f"trials.count={TRIALS}", f"trials.seed={SEED}"])
-    batch = tetractl.run_batch(on_plant(loaded, "emulated"), folder, jobs=1, progress=False)
+    batch = tetractl.run_batch(select_plant(loaded, "emulated"), folder, jobs=1, progress=False)
     assert len(batch.trials) == TRIALS
     return [log for log in flagged(batch) if not only_met(log)]
 

@@ -34,7 +34,7 @@ from tetractl.lab.inner_loop import InnerLoop
 from tetractl.plant.lab_plant import RigSection
 from tetractl.spec.load import load_spec, parse_spec
 from tetractl.spec.loaded_spec import LoadedSpec
-from tetractl.spec.plants import lab_of, on_plant
+from tetractl.spec.plants import get_lab, select_plant
 
 DISH = EXAMPLES / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0
@@ -164,18 +164,21 @@ def virtual_lab(folder, *sets, spec=SPEC, script=NO_FAULTS, seed=1, ahead_s=0.0,
         loaded = load_spec(spec, sets)
     elif isinstance(spec, str):
         loaded = parse_spec(spec, "lab.yaml", sets)
-    lab = lab_of(loaded.experiment, loaded.name)
+    lab = get_lab(loaded.experiment, loaded.name)
     clock = PatientClock()
     record = None if folder is None else Path(folder) / "record.jsonl"
     chosen = Options(
-        seed=seed, trials_choose_robots=loaded.experiment.open, record=record, **options
+        seed=seed,
+        trials_choose_robots=loaded.experiment.must_choose_robots,
+        record=record,
+        **options,
     )
     emulation = start_emulated_lab(
         lab, loaded.experiment.setup, clock, chosen, script_of(script, lab)
     )
     with contextlib.closing(emulation), joined(emulation, clock):
         clock.sleep_until(round(ahead_s * SECOND))
-        yield VirtualLab(emulation, clock, on_plant(loaded, "lab"), sets, record)
+        yield VirtualLab(emulation, clock, select_plant(loaded, "lab"), sets, record)
 
 
 def virtual_dish(folder, seed=1, sets=(), script=""):

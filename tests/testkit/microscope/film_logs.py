@@ -17,8 +17,8 @@ from tetractl.log.read.reader import trial_path
 from tetractl.log.write.writer import LogWriter
 from tetractl.model.path_check import check_path
 from tetractl.spec.load import parse_spec
-from tetractl.spec.loaded_spec import start_of
-from tetractl.spec.plants import on_plant
+from tetractl.spec.loaded_spec import create_start
+from tetractl.spec.plants import select_plant
 
 SPEC = """
 name: dish
@@ -45,7 +45,7 @@ def samples_of(synthetic, robots: int):
         for i, (x, y) in enumerate(np.nan_to_num(starts, nan=500.0))
     ]
     text = SPEC.format(robots="[" + ", ".join(listed) + "]", um_px=synthetic.look.um_px)
-    loaded = on_plant(parse_spec(text, "dish.yaml"), "lab")
+    loaded = select_plant(parse_spec(text, "dish.yaml"), "lab")
     setup = loaded.experiment.setup
     camera = CellCamera(loaded.experiment.plant.camera, setup, VirtualClock())
     last = setup.starts.array()
@@ -72,7 +72,7 @@ def write_film(synthetic, path, robots: int = 2):
     look = synthetic.look
     facts = {"opencv": cv2.__version__, "resolution": f"{look.width}x{look.height}", "halts": "no"}
     info = PlantInfo("lab", False, float(synthetic.script.rate), facts)
-    start = start_of(loaded, 0, info, 1_790_000_000_123_456_789)
+    start = create_start(loaded, 0, info, 1_790_000_000_123_456_789)
     stop = Command(Stop(), samples[-1].observation.received_ns, (True,) * robots)
     recorder = Recorder()
     with LogWriter(path) as writer:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
-from tetractl.core.poses import Bools, Floats, Grey
+from tetractl.core.poses import Bools, Floats, GreyImage
 from tetractl.model.cell_numbers import DRIFT_UM_S
 from tetractl.model.swimmers import Bodies, Swimmers, bodies
 
@@ -82,7 +82,7 @@ class SyntheticFilm:
     def _span(self) -> Floats:
         return np.array([self.look.width, self.look.height]) * self.look.um_px
 
-    def pictures(self) -> Iterator[Grey]:
+    def pictures(self) -> Iterator[GreyImage]:
         """Yield the pictures in order of time."""
         painter = DishPainter(self.look, self.seed)
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5

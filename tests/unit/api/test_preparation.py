@@ -9,7 +9,7 @@ from testkit.paths import ROOT
 from tetractl.api.preparation import announcer, check_simulated, interruptible
 from tetractl.core.errors import UsageError
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 LAB = load_spec(ROOT / "experiments/three_m3pi_lab.yaml")
 
@@ -34,7 +34,7 @@ def test_a_simulation_is_compiled_and_its_warnings_are_logged(warmed, monkeypatc
 
 def test_robots_in_a_lab_are_not_driven_by_a_script(warmed):
     with pytest.raises(UsageError, match="cannot drive robots in a lab") as caught:
-        check_simulated(on_plant(LAB, "lab"), print)
+        check_simulated(select_plant(LAB, "lab"), print)
     assert caught.value.hint == "use `tetractl run`"
     assert warmed == []
 

@@ -7,7 +7,14 @@ import pytest
 import typer
 
 from tetractl.cli import app as module
-from tetractl.cli.app import _complain_of, _Group, _version, _without_equals_sign, complain, run_app
+from tetractl.cli.app import (
+    _Group,
+    _print_version,
+    _report_error,
+    _suggest_equals_sign,
+    print_error,
+    run_app,
+)
 from tetractl.core.errors import AbortError, Exit, LogError, TetractlError, UsageError
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError
@@ -66,7 +73,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_an_error_of_the_user_has_its_lines_and_its_exit_code(case, capsys):
     error, code, lines = CASES[case]
-    assert _complain_of(error) == code
+    assert _report_error(error) == code
     assert capsys.readouterr().err.splitlines() == lines
 
 
@@ -81,17 +88,17 @@ def test_an_error_of_the_user_has_its_lines_and_its_exit_code(case, capsys):
     ],
 )
 def test_a_defect_of_the_program_is_not_called_an_error_of_the_user(error, capsys):
-    assert _complain_of(error) is None
+    assert _report_error(error) is None
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("dev_mode", [False, True])
 def test_the_traceback_of_a_plug_in_is_shown_in_development(monkeypatch, capsys, dev_mode):
     monkeypatch.setattr(module.sys, "flags", SimpleNamespace(dev_mode=dev_mode))
-    code = _complain_of(PluginTrialError("a fault", "a hint"))
+    code = _report_error(PluginTrialError("a fault", "a hint"))
     assert code == (None if dev_mode else Exit.FAILED)
     assert bool(capsys.readouterr().err) != dev_mode
-    assert _complain_of(UsageError("x")) == Exit.USAGE
+    assert _report_error(UsageError("x")) == Exit.USAGE
 
 
 @pytest.mark.parametrize(
@@ -106,13 +113,13 @@ def test_the_traceback_of_a_plug_in_is_shown_in_development(monkeypatch, capsys,
 )
 def test_a_setting_without_an_equals_sign_is_written_as_it_should_be(monkeypatch, words, hint):
     monkeypatch.setattr(module.sys, "argv", ["tetractl", *words])
-    assert _without_equals_sign() == hint
+    assert _suggest_equals_sign() == hint
 
 
 def test_a_complaint_is_an_error_and_a_hint_if_there_is_one(capsys):
-    assert complain(Exit.USAGE, "a", "b") == Exit.USAGE
+    assert print_error(Exit.USAGE, "a", "b") == Exit.USAGE
     assert capsys.readouterr().err == "error: a\nhint: b\n"
-    assert complain(Exit.FAILED, "a") == Exit.FAILED
+    assert print_error(Exit.FAILED, "a") == Exit.FAILED
     assert capsys.readouterr().err == "error: a\n"
 
 
@@ -130,7 +137,7 @@ def test_an_empty_argument_is_refused_before_anything_runs(monkeypatch, capsys):
 def test_the_version_is_printed_and_nothing_else(monkeypatch, capsys):
     assert run(monkeypatch, "--version") == Exit.DONE
     assert capsys.readouterr().out.startswith("tetractl ")
-    assert _version(False) is None
+    assert _print_version(False) is None
 
 
 def test_a_wrong_option_is_a_line_with_the_help(monkeypatch, capsys):
@@ -181,8 +188,8 @@ def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypa
 
 def test_commands_are_in_the_order_of_the_help_and_those_of_other_packages_follow():
     names = list(_Group(name=None).commands)
-    known = [name for name in names if name in module.PANEL_OF]
-    assert known == [name for name in module.PANEL_OF if name in names]
+    known = [name for name in names if name in module.PANEL_BY_COMMAND]
+    assert known == [name for name in module.PANEL_BY_COMMAND if name in names]
     assert names[: len(known)] == known
 
 
@@ -193,7 +200,7 @@ def test_a_broken_command_of_another_package_tells_why(monkeypatch):
         raise error
 
     monkeypatch.setattr(COMMANDS, "load", load)
-    command = module._command(COMMANDS, "odd")
+    command = module._load_command(COMMANDS, "odd")
     assert "Cannot be used: odd 1" in command.help
     with pytest.raises(PluginError, match="it fails"):
         command.main(["--any", "word"], standalone_mode=False)
@@ -202,8 +209,10 @@ def test_a_broken_command_of_another_package_tells_why(monkeypatch):
 def test_what_is_no_function_is_an_error_of_its_package(monkeypatch):
     monkeypatch.setattr(COMMANDS, "load", lambda name: 5)
     monkeypatch.setattr(
-        COMMANDS, "unusable", lambda name, why: PluginError(f"{name} cannot be used: {why}")
+        COMMANDS,
+        "create_unusable_error",
+        lambda name, why: PluginError(f"{name} cannot be used: {why}"),
     )
-    assert "Cannot be used: odd cannot" in module._command(COMMANDS, "odd").help
+    assert "Cannot be used: odd cannot" in module._load_command(COMMANDS, "odd").help
     with pytest.raises(TypeError, match="callable"):
-        module._command(COMMANDS, "run")  # one of our own is a defect
+        module._load_command(COMMANDS, "run")  # one of our own is a defect

@@ -9,7 +9,7 @@ import pytest
 from testkit.batches import result
 
 from tetractl.cli import info as module
-from tetractl.cli.info import LINE_MOST, _deviating, _lines, info
+from tetractl.cli.info import LINE_LENGTH_MAX, _format_estimate, _format_lines, info
 from tetractl.core.errors import Exit
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome
@@ -43,7 +43,7 @@ def overview(**fields):
 
 def sections(**fields):
     """The lines of each section by its title."""
-    first, *lines = _lines(overview(**fields))
+    first, *lines = _format_lines(overview(**fields))
     assert first == "a.mcap: 1234 bytes, 2 chunks"
     found = {}
     title = ""
@@ -179,7 +179,7 @@ def test_what_the_model_does_not_fit_is_named():
     ],
 )
 def test_a_value_has_two_digits_of_its_deviation(value, std, text):
-    assert _deviating(value, std) == text
+    assert _format_estimate(value, std) == text
 
 
 @pytest.mark.parametrize(("damage", "code"), [(None, 0), (Damage(("torn",), ()), 1)])
@@ -189,6 +189,6 @@ def test_a_damaged_log_fails(monkeypatch, capsys, tmp_path, damage, code):
     monkeypatch.setattr("tetractl.log.read.overview.overview", lambda log: long)
     assert info(tmp_path) == Exit(code)
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) == LINE_MOST
+    assert max(map(len, lines)) == LINE_LENGTH_MAX
     assert info(tmp_path, as_json=True) == Exit(code)
     assert json.loads(capsys.readouterr().out)["host"]["cpu"] == "x" * 1000

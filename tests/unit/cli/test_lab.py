@@ -7,7 +7,14 @@ import yaml
 from testkit.paths import ROOT
 
 from tetractl.cli import lab as module
-from tetractl.cli.lab import _loaded_on, _stops, calibrate, check, save_calibration, stop
+from tetractl.cli.lab import (
+    _find_stop_function,
+    _load_for_plant,
+    calibrate,
+    check,
+    save_calibration,
+    stop,
+)
 from tetractl.core.errors import Exit, UsageError
 from tetractl.lab.serial_port import PortHeldError
 from tetractl.spec.lab_section import Measured
@@ -19,15 +26,15 @@ LAB = ROOT / "experiments/three_m3pi_lab.yaml"
 @pytest.mark.parametrize(("spec", "port"), [(None, None), (LAB, "/dev/ttyUSB0")])
 def test_a_stop_needs_a_spec_or_a_port_and_not_both(spec, port):
     with pytest.raises(UsageError, match="give either a spec or --port"):
-        _stops(spec, None, port, 57600)
+        _find_stop_function(spec, None, port, 57600)
 
 
 def test_a_stop_by_port_is_for_the_radio_on_it():
-    stops = _stops(None, None, "/dev/ttyUSB7", 9600)
+    stops = _find_stop_function(None, None, "/dev/ttyUSB7", 9600)
     radio, _ = stops.args
     assert (radio.port, radio.baud) == ("/dev/ttyUSB7", 9600)
     with pytest.raises(UsageError, match=r"^--baud: "):
-        _stops(None, None, "/dev/ttyUSB7", 0)
+        _find_stop_function(None, None, "/dev/ttyUSB7", 0)
 
 
 def names_stopped(stops):
@@ -36,7 +43,7 @@ def names_stopped(stops):
 
 
 def test_a_stop_by_spec_is_for_the_robots_of_its_lab(capsys):
-    stops = _stops(LAB, ["plant.actuator.port=/dev/other"], None, 57600)
+    stops = _find_stop_function(LAB, ["plant.actuator.port=/dev/other"], None, 57600)
     assert names_stopped(stops) == ("green", "blue", "red")
     assert stops.func.__self__.port == "/dev/other"
     assert capsys.readouterr().err == ""
@@ -45,7 +52,7 @@ def test_a_stop_by_spec_is_for_the_robots_of_its_lab(capsys):
 def test_robots_are_stopped_although_another_part_of_the_spec_is_wrong(tmp_path, capsys):
     path = tmp_path / "s.yaml"
     path.write_text(LAB.read_text().replace("a: 6", "a: -6"))
-    stops = _stops(path, None, None, 57600)
+    stops = _find_stop_function(path, None, None, 57600)
     assert names_stopped(stops) == ("green", "blue", "red")
     assert "must be greater than 0" in capsys.readouterr().err
 
@@ -53,11 +60,11 @@ def test_robots_are_stopped_although_another_part_of_the_spec_is_wrong(tmp_path,
 def test_no_robot_is_stopped_by_a_wrong_setting_or_without_an_actuator(tmp_path):
     """The setting may have named the port."""
     with pytest.raises(InvalidSpecError):
-        _stops(LAB, ["lab.actuator.port"], None, 57600)
+        _find_stop_function(LAB, ["lab.actuator.port"], None, 57600)
     path = tmp_path / "s.yaml"
     path.write_text("name: s\n")
     with pytest.raises(InvalidSpecError):
-        _stops(path, None, None, 57600)
+        _find_stop_function(path, None, None, 57600)
 
 
 @pytest.fixture
@@ -71,7 +78,7 @@ def held(monkeypatch):
             raise PortHeldError(asked.ports.pop(0))
         return "stopped 3 robots"
 
-    monkeypatch.setattr(module, "_stops", lambda *_: stop_all)
+    monkeypatch.setattr(module, "_find_stop_function", lambda *_: stop_all)
     monkeypatch.setattr(module, "stop_and_end_holder", lambda port, *_: asked.beside.append(port))
     return asked
 
@@ -161,6 +168,6 @@ def test_a_calibration_is_printed_and_written_for_a_spec(tmp_path, capsys, emula
 
 
 def test_a_spec_is_loaded_for_its_lab():
-    loaded = _loaded_on(LAB, ["plant.limits.stale=0.2"], "lab")
+    loaded = _load_for_plant(LAB, ["plant.limits.stale=0.2"], "lab")
     assert loaded.experiment.plant.limits.stale == 0.2
     assert not loaded.experiment.plant.simulated

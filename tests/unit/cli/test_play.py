@@ -99,10 +99,10 @@ def test_the_best_try_is_the_nearest_one_that_was_not_lost():
 
 
 def test_one_line_tells_all_tries_and_the_controller(game):
-    game.yours = [ended([30.0])]
+    game.own_results = [ended([30.0])]
     assert _summarise_game(game) == "you 30.0 mm in 12 s"
-    game.yours = [ended([30.0]), ended([20.0]), ended([10.0])]
-    game.theirs = ended([5.0])
+    game.own_results = [ended([30.0]), ended([20.0]), ended([10.0])]
+    game.controller_result = ended([5.0])
     assert _summarise_game(game) == (
         "you 30.0 mm in 12 s, again 20.0 mm in 12 s, again 10.0 mm in 12 s, "
         "the controller 5.00 mm in 12 s"
@@ -154,7 +154,7 @@ def test_each_try_has_a_folder_of_its_own(game, trials):
         game.steer(lambda *_: None)
     assert trials.folders == ["you", "you-2", "you-3"]
     assert [folder.name for folder in game.folders] == trials.folders
-    game.theirs = ended()
+    game.controller_result = ended()
     assert [folder.name for folder in game.folders] == [*trials.folders, "controller"]
     assert not game.over
     assert game.error == ""
@@ -164,7 +164,7 @@ def test_a_try_without_a_direction_ends_the_game_and_does_not_count(game, trials
     trials.results.append((ended(), False))
     game.steer(lambda *_: None)
     assert game.over
-    assert game.yours == []
+    assert game.own_results == []
     assert game.error == ""
 
 
@@ -213,7 +213,7 @@ def test_the_controller_runs_in_its_folder_and_cannot_lose_the_game(game, monkey
     monkeypatch.setattr("tetractl.run.logged_trial.run_logged", run_logged)
     game.control()
     assert asked == [(game.folder / "controller", True)]
-    assert game.theirs is STOPPED
+    assert game.controller_result is STOPPED
     assert not game.over
     assert game.error == ""
 
@@ -228,13 +228,13 @@ def test_a_game_without_a_try_leaves_nothing(game, capsys):
 
 
 def test_a_game_with_tries_prints_them_and_where_the_logs_are(game, capsys):
-    game.yours = [ended()]
+    game.own_results = [ended()]
     assert _conclude(game) == Exit.DONE
     said = capsys.readouterr()
     assert said.out == "you 30.0 mm in 12 s\n"
     assert said.err.splitlines()[1] == f"  tetractl replay {game.folder}/you"
     assert "disturbances" not in said.err
-    game.theirs = ended([5.0])
+    game.controller_result = ended([5.0])
     assert _conclude(game) == Exit.DONE
     said = capsys.readouterr()
     assert said.out == "you 30.0 mm in 12 s, the controller 5.00 mm in 12 s\n"
@@ -242,7 +242,7 @@ def test_a_game_with_tries_prints_them_and_where_the_logs_are(game, capsys):
 
 
 def test_an_error_and_an_interruption_have_their_exit_codes(game, capsys):
-    game.yours = [ended()]
+    game.own_results = [ended()]
     game.error = "the radio is silent"
     assert _conclude(game) == Exit.FAILED
     assert capsys.readouterr().err.endswith("error: the radio is silent\n")
@@ -279,7 +279,7 @@ def test_keys_between_trials_choose_the_next_one(game, monkeypatch, answers, tri
 
     def controller(*_):
         run.append("controller")
-        game.theirs = ended()
+        game.controller_result = ended()
         return left.pop(0)
 
     monkeypatch.setattr(play, "_run_own_trial", you)

@@ -12,10 +12,10 @@ from tetractl.cli.play import play
 from tetractl.core.errors import Exit, UsageError
 from tetractl.run.interrupt import Interrupt
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = load_spec(ROOT / "experiments/three_m3pi.yaml")
-LAB = on_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
+LAB = select_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ def drawn(monkeypatch):
     monkeypatch.setattr(
         module.ui, "open_trial", lambda path: SimpleNamespace(damage=done.damage.get(path.name))
     )
-    monkeypatch.setattr(module.ui, "progress", lambda what: nullcontext())
+    monkeypatch.setattr(module.ui, "show_progress", lambda what: nullcontext())
     monkeypatch.setattr(
         "tetractl.view.figures.draw.draw", lambda kind, trials: done.drawn.append(kind)
     )

@@ -17,7 +17,7 @@ def unread(monkeypatch):
     monkeypatch.setattr(
         "tetractl.report.page.report", lambda logs, title, on_log: (f"<p>{title}</p>", problems)
     )
-    monkeypatch.setattr(module.ui, "progress", lambda what: nullcontext())
+    monkeypatch.setattr(module.ui, "show_progress", lambda what: nullcontext())
     return problems
 
 

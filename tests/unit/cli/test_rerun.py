@@ -8,34 +8,34 @@ from testkit.marked_robots import MarkedRobots
 from testkit.paths import ROOT
 
 from tetractl.cli import rerun as module
-from tetractl.cli.rerun import _compare, _on_plant, _tell_errors
+from tetractl.cli.rerun import _compare_logs, _print_errors, _select_plant
 from tetractl.core.errors import Exit
 from tetractl.core.plan import Outcome
 from tetractl.log.read import reader, salvage
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 from tetractl.verification import log_comparison, verify
 
 LAB = load_spec(ROOT / "experiments/three_m3pi_lab.yaml")
-IN_LAB = on_plant(LAB, "lab")
+IN_LAB = select_plant(LAB, "lab")
 
 # `reader`, `salvage`, `log_comparison` and `verify` are imported before a test replaces their
 # functions: a module that is first imported in such a test would keep what replaces them.
 
 
 def test_the_trial_of_a_lab_is_simulated_unless_robots_are_to_move():
-    assert _on_plant(IN_LAB, "sim").experiment.plant.type == "sim"
-    again = _on_plant(IN_LAB, "lab").experiment
+    assert _select_plant(IN_LAB, "sim").experiment.plant.type == "sim"
+    again = _select_plant(IN_LAB, "lab").experiment
     assert again.plant == IN_LAB.experiment.plant
-    assert _on_plant(LAB, "lab").experiment.plant.type == "lab"
-    assert _on_plant(LAB, "sim").experiment.plant.type == "sim"
+    assert _select_plant(LAB, "lab").experiment.plant.type == "lab"
+    assert _select_plant(LAB, "sim").experiment.plant.type == "sim"
 
 
 def test_robots_that_a_trial_chose_are_chosen_again_in_a_lab_only():
     found = MarkedRobots(marks=((1, 1),), found=True)
     chosen = replace(IN_LAB, experiment=IN_LAB.experiment.model_copy(update={"chosen": found}))
-    assert _on_plant(chosen, "lab").experiment.chosen == MarkedRobots(marks=((1, 1),))
-    assert _on_plant(chosen, "sim").experiment.chosen == found
+    assert _select_plant(chosen, "lab").experiment.chosen == MarkedRobots(marks=((1, 1),))
+    assert _select_plant(chosen, "sim").experiment.chosen == found
 
 
 def raw(digest="d1", path="a.mcap", spec="x", damaged=False):
@@ -70,7 +70,7 @@ def compared(monkeypatch, capsys):
         )
         monkeypatch.setattr(verify, "host_differences", lambda log: lines)
         trial = SimpleNamespace(experiment=SimpleNamespace(plant=of_trial))
-        code = _compare(first, trial, second)
+        code = _compare_logs(first, trial, second)
         return code, capsys.readouterr().err.splitlines()
 
     return compare
@@ -136,7 +136,7 @@ def test_of_another_spec_only_the_errors_are_told(monkeypatch, capsys):
         "result_of",
         lambda log: SimpleNamespace(result=SimpleNamespace(total_error=errors[log.path])),
     )
-    _tell_errors(raw(), raw(path="b.mcap"))
+    _print_errors(raw(), raw(path="b.mcap"))
     said = capsys.readouterr().err
     assert said.startswith("the total error is 6.79 mm, and was 12.35 mm in the log; nothing")
 
@@ -168,8 +168,8 @@ def rerun(monkeypatch):
             done.compared = "errors"
 
         monkeypatch.setattr(module, "run_command", run_command)
-        monkeypatch.setattr(module, "_compare", compare)
-        monkeypatch.setattr(module, "_tell_errors", tell)
+        monkeypatch.setattr(module, "_compare_logs", compare)
+        monkeypatch.setattr(module, "_print_errors", tell)
         return module.rerun(ROOT / "a.mcap", **options)
 
     done.run = run

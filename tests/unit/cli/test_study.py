@@ -6,19 +6,19 @@ from types import SimpleNamespace
 import pytest
 
 from tetractl.cli import study as module
-from tetractl.cli.study import ARMS_NAMED, _conclude, _tell_of_outdated, study
+from tetractl.cli.study import ARMS_NAMED, _conclude, _report_outdated, study
 from tetractl.core.errors import Exit, UsageError
 
 
 def test_nothing_is_said_if_no_trial_is_outdated(capsys):
-    _tell_of_outdated({})
+    _report_outdated({})
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("more", [0, 1, 3])
 def test_outdated_trials_are_counted_by_arm_and_only_some_arms_named(capsys, more):
     outdated = {f"arm{i}": i + 1 for i in range(ARMS_NAMED + more)}
-    _tell_of_outdated(outdated)
+    _report_outdated(outdated)
     said = capsys.readouterr().err
     assert said.startswith(f"notice: {sum(outdated.values())} trials were run by outdated code")
     assert f"arm{ARMS_NAMED - 1} ({ARMS_NAMED})" in said

@@ -25,7 +25,7 @@ from tetractl.core.trial import Verdict
 from tetractl.run.batch import Report
 from tetractl.run.interrupt import Interrupt
 from tetractl.spec.load import load_spec, parse_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = parse_spec(
     """
@@ -39,7 +39,7 @@ trials: {count: 5}
 """,
     "s.yaml",
 )
-LAB = on_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
+LAB = select_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
 
 
 @pytest.mark.parametrize(

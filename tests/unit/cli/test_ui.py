@@ -76,9 +76,9 @@ def test_warnings_are_errors_only_if_there_are_any_and_only_with_strict(
     if strict and count:
         words = "a warning" if count == 1 else f"{count} warnings"
         with pytest.raises(UsageError, match=f"the spec has {words}, and with --strict"):
-            ui.warn(None, strict)
+            ui.print_warnings(None, strict)
     else:
-        assert ui.warn(None, strict) == warnings
+        assert ui.print_warnings(None, strict) == warnings
     assert capsys.readouterr().err.splitlines() == [f"warning: {text}" for text in warnings]
 
 
@@ -104,10 +104,10 @@ def test_the_damage_of_a_log_is_told_on_stderr(capsys):
 def test_what_is_told_is_safe_for_a_terminal(monkeypatch):
     stream = io.StringIO()
     monkeypatch.setattr(ui.sys, "stderr", stream)
-    ui.tell("a\x1b[2J", "b")
+    ui.print_messages("a\x1b[2J", "b")
     assert stream.getvalue() == "a\\x1b[2J\nb\n"
 
 
 def test_results_are_tables_or_json(capsys):
-    ui.show(True, {"a": 1}, [])
+    ui.print_results(True, {"a": 1}, [])
     assert capsys.readouterr().out.strip() == '{\n  "a": 1\n}'

@@ -5,25 +5,32 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.core.errors import UsageError, demand, printable, text_of, unit_of, whole_number
+from tetractl.core.errors import (
+    UsageError,
+    describe_error,
+    format_unit,
+    printable,
+    require_type,
+    require_whole_number,
+)
 
 
 @pytest.mark.parametrize("value", [0, 1, 10**20, True, np.int64(7)])
 def test_a_whole_number_from_0_is_itself(value):
-    assert whole_number(value, "a trial") == int(value)
+    assert require_whole_number(value, "a trial") == int(value)
 
 
 @pytest.mark.parametrize("value", [-1, 1.0, "3", None, [1], np.float64(2)])
 def test_anything_else_is_refused(value):
     with pytest.raises(UsageError, match=r"^a trial must be a whole number of at least 0, but"):
-        whole_number(value, "a trial")
+        require_whole_number(value, "a trial")
 
 
 def test_an_argument_has_the_right_type_or_is_named_with_its_own():
-    demand(3, int, "give a number")
-    demand("x", int | str, "give a number")
+    require_type(3, int, "give a number")
+    require_type("x", int | str, "give a number")
     with pytest.raises(UsageError, match=r"^give a number, but the value given is of type str$"):
-        demand("x", int, "give a number")
+        require_type("x", int, "give a number")
 
 
 @given(st.text(max_size=40), st.integers(4, 30))
@@ -43,7 +50,7 @@ def test_a_text_of_just_the_length_is_whole():
 
 
 def test_units_are_written_as_people_do():
-    assert [unit_of(unit) for unit in ("um", "mm", "um/s")] == ["µm", "mm", "µm/s"]
+    assert [format_unit(unit) for unit in ("um", "mm", "um/s")] == ["µm", "mm", "µm/s"]
 
 
 class UnspeakableError(Exception):
@@ -52,20 +59,20 @@ class UnspeakableError(Exception):
 
 
 def test_the_text_of_any_exception_is_one_line():
-    assert text_of(ValueError("a\n  b")) == "ValueError: a b"
-    assert text_of(ValueError()) == "ValueError"
-    assert text_of(UnspeakableError()) == "UnspeakableError: its text raises RuntimeError"
-    assert len(text_of(ValueError("x" * 5000))) == 300
+    assert describe_error(ValueError("a\n  b")) == "ValueError: a b"
+    assert describe_error(ValueError()) == "ValueError"
+    assert describe_error(UnspeakableError()) == "UnspeakableError: its text raises RuntimeError"
+    assert len(describe_error(ValueError("x" * 5000))) == 300
 
 
 def test_an_error_shows_the_line_of_the_user_that_called(tmp_path):
     def users_line():
-        demand("x", int, "give a number")
+        require_type("x", int, "give a number")
 
     with pytest.raises(UsageError) as caught:
         users_line()
     shown = caught.value._render_traceback_()
     assert shown[0] == "UsageError: give a number, but the value given is of type str"
-    assert shown[1].endswith('demand("x", int, "give a number")')
+    assert shown[1].endswith('require_type("x", int, "give a number")')
     assert "print_last" in shown[-1]
     assert len(shown) == 3

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.loggable import (
-    DRAWN_PRECISION,
+    DRAWING_PRECISION,
     NUMBER_NAME_MAX,
     NUMBERS_MAX,
     STOP_REASON_MAX,
     check_actions,
     check_plan,
-    drawn,
     require_finite,
+    round_for_drawing,
     stop_reason,
 )
 from tetractl.core.motion_estimate import Estimate
@@ -150,23 +150,23 @@ def test_only_values_that_are_not_finite_are_refused():
 
 @given(st.floats(-1e30, 1e30).filter(lambda x: x == 0 or abs(x) > 1e-30))
 def test_a_number_for_drawing_is_rounded_to_fourteen_bits(x):
-    (rounded,) = drawn(np.array([x])).tolist()
-    assert abs(rounded - x) <= (DRAWN_PRECISION + SINGLE) * abs(x)
+    (rounded,) = round_for_drawing(np.array([x])).tolist()
+    assert abs(rounded - x) <= (DRAWING_PRECISION + SINGLE) * abs(x)
     fraction, _ = math.frexp(rounded)
     assert (fraction * 2**15).is_integer()
-    assert drawn(np.array([rounded])).tolist() == [rounded]
+    assert round_for_drawing(np.array([rounded])).tolist() == [rounded]
 
 
 def test_the_stated_precision_is_that_of_the_worst_number():
     values = np.random.default_rng(3).uniform(1, 2, 10_000)
-    worst = np.abs(drawn(values) / values - 1).max()
-    assert DRAWN_PRECISION / 2 < worst <= DRAWN_PRECISION + SINGLE
+    worst = np.abs(round_for_drawing(values) / values - 1).max()
+    assert DRAWING_PRECISION / 2 < worst <= DRAWING_PRECISION + SINGLE
 
 
 def test_what_is_exact_in_fourteen_bits_stays():
     values = np.array([0.0, 1.0, -1.5, 1024.0, 0.25])
-    assert drawn(values).tolist() == values.tolist()
-    assert drawn(np.array([[1.0, 2.0]])).shape == (1, 2)
+    assert round_for_drawing(values).tolist() == values.tolist()
+    assert round_for_drawing(np.array([[1.0, 2.0]])).shape == (1, 2)
 
 
 @pytest.mark.parametrize("reason", StopReason)

@@ -9,8 +9,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.losses import (
     DEAD_AFTER_S,
     STRIDE_MIN_S,
-    Losses,
     LossRule,
+    LossTracker,
     StandstillDetector,
     describe_dead,
 )
@@ -29,13 +29,13 @@ def frame(time_ns, valid, xy=None):
 
 def after(rule, frames, count=2):
     """The losses after some frames, and the robots that were replaced in each."""
-    losses = Losses(rule, np.ones(count))
+    losses = LossTracker(rule, np.ones(count))
     replaced = [losses.add_frame(one) for one in frames]
     return losses, replaced
 
 
 GONE_S = 0.3
-RULE = LossRule(GONE_S, replaced=False)
+RULE = LossRule(GONE_S, replaces_lost=False)
 MS = SECOND // 1000
 
 
@@ -50,8 +50,8 @@ def test_a_robot_is_lost_once_it_was_untracked_for_the_time_of_the_rule(gone_ms,
     losses, _ = after(RULE, seen_until(50, end_ms=50 + gone_ms))
     assert losses.lost.tolist() == [False, is_lost]
     assert losses.present.tolist() == [True, not is_lost]
-    assert losses.times.tolist() == [0, int(is_lost)]
-    assert losses.changes == int(is_lost)
+    assert losses.loss_counts.tolist() == [0, int(is_lost)]
+    assert losses.change_count == int(is_lost)
 
 
 def test_the_time_counts_from_the_last_frame_that_showed_the_robot():
@@ -92,11 +92,11 @@ def test_a_robot_that_is_tracked_again_was_replaced_once_and_can_be_lost_again()
     losses, replaced = after(LossRule(GONE_S, True), seen_until(0, 400, 600, end_ms=1000))
     assert [back for back in replaced if back] == [[1]]
     assert losses.lost.tolist() == [False, True]
-    assert losses.times.tolist() == [0, 2]
-    assert losses.changes == 3
+    assert losses.loss_counts.tolist() == [0, 2]
+    assert losses.change_count == 3
 
 
-@pytest.mark.parametrize("rule", [None, LossRule(GONE_S, False, ends=True)])
+@pytest.mark.parametrize("rule", [None, LossRule(GONE_S, False, ends_trial=True)])
 def test_no_robot_is_lost_without_a_rule_or_if_a_loss_ends_the_trial(rule):
     losses, replaced = after(rule, [*AWAY, BACK])
     assert not losses.lost.any()
@@ -108,7 +108,7 @@ def test_losses_are_those_of_a_rule_applied_frame_by_frame(seed, replaced):
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.integers(5, 120, 40)) * MS
     valid = rng.random((40, 3)) < rng.uniform(0.2, 0.9)
-    losses = Losses(LossRule(GONE_S, replaced), np.ones(3))
+    losses = LossTracker(LossRule(GONE_S, replaced), np.ones(3))
     tracked, lost = [int(times[0])] * 3, [False] * 3
     for time_ns, seen in zip(times.tolist(), valid.tolist(), strict=True):
         back = []
@@ -194,7 +194,7 @@ def test_frames_between_two_checks_are_skipped():
 
 
 def drive_into_death(rule):
-    losses = Losses(rule, np.array([10.0, 10.0]))
+    losses = LossTracker(rule, np.array([10.0, 10.0]))
     for k in range(70):
         losses.add_frame(frame(k * LOOK_NS, [1, 1], [[k, 0], [0, 0]]))
     return losses
@@ -203,9 +203,9 @@ def drive_into_death(rule):
 @pytest.mark.parametrize(
     ("rule", "is_lost"),
     [
-        (LossRule(GONE_S, False, dead=True), True),
-        (LossRule(GONE_S, False, dead=False), False),
-        (LossRule(GONE_S, False, dead=True, ends=True), False),
+        (LossRule(GONE_S, False, includes_dead=True), True),
+        (LossRule(GONE_S, False, includes_dead=False), False),
+        (LossRule(GONE_S, False, includes_dead=True, ends_trial=True), False),
         (None, False),
     ],
 )
@@ -213,8 +213,8 @@ def test_a_dead_robot_is_lost_only_if_the_rule_says_so(rule, is_lost):
     losses = drive_into_death(rule)
     assert losses.dead.tolist() == [False, True]
     assert losses.lost.tolist() == [False, is_lost]
-    assert losses.times.tolist() == [0, int(is_lost)]
-    assert losses.changes == int(is_lost)
+    assert losses.loss_counts.tolist() == [0, int(is_lost)]
+    assert losses.change_count == int(is_lost)
 
 
 def test_dead_robots_are_named():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING, Estimate
+from tetractl.core.motion_estimate import POSITION_INNOVATIONS, TURNING_INNOVATIONS, Estimate
 
 NAMES = ("one", "two", "three")
 ONES = np.ones(3)
@@ -14,10 +14,10 @@ def estimate(**fields):
 
 
 def test_a_robot_stands_if_that_is_almost_certain():
-    assert estimate(stands=np.array([0.95, 0.9, 0.3])).standing(NAMES) == ["one"]
-    assert estimate(stands=np.array([0.1, 0.91, 1.0])).standing(NAMES) == ["two", "three"]
-    assert estimate(stands=np.zeros(3)).standing(NAMES) == []
-    assert estimate().standing(NAMES) == []
+    assert estimate(stands=np.array([0.95, 0.9, 0.3])).list_standing(NAMES) == ["one"]
+    assert estimate(stands=np.array([0.1, 0.91, 1.0])).list_standing(NAMES) == ["two", "three"]
+    assert estimate(stands=np.zeros(3)).list_standing(NAMES) == []
+    assert estimate().list_standing(NAMES) == []
 
 
 MISFIT = np.array([[1.5, 0.2, 0.3], [0.1, 1.2, 1.0], [0.1, 0.2, 1.1]])
@@ -26,13 +26,18 @@ MISFIT = np.array([[1.5, 0.2, 0.3], [0.1, 1.2, 1.0], [0.1, 0.2, 1.1]])
 
 def test_a_part_of_the_motion_is_unexplained_above_one():
     found = estimate(misfit=MISFIT)
-    assert found.unexplained(NAMES, OF_TURNING) == {"heading of three"}
-    assert found.unexplained(NAMES, OF_PLACES) == {
+    assert found.list_unexplained(NAMES, TURNING_INNOVATIONS) == {"heading of three"}
+    assert found.list_unexplained(NAMES, POSITION_INNOVATIONS) == {
         "along-track motion of one",
         "cross-track motion of two",
     }
-    assert estimate(misfit=np.ones((3, 3))).unexplained(NAMES, OF_TURNING + OF_PLACES) == set()
-    assert estimate().unexplained(NAMES, OF_TURNING) == set()
+    assert (
+        estimate(misfit=np.ones((3, 3))).list_unexplained(
+            NAMES, TURNING_INNOVATIONS + POSITION_INNOVATIONS
+        )
+        == set()
+    )
+    assert estimate().list_unexplained(NAMES, TURNING_INNOVATIONS) == set()
 
 
 def test_the_common_lag_is_the_mean_if_it_is_estimated():
@@ -44,10 +49,10 @@ def test_an_estimate_of_some_robots_has_the_values_of_these():
     whole = estimate(
         misfit=MISFIT, lag=np.array([0.1, 0.2, 0.3]), dead_time=0.05, own_dead_time=np.arange(3.0)
     )
-    some = whole.only(np.array([False, True, True]))
+    some = whole.select_robots(np.array([False, True, True]))
     assert some.a.tolist() == [1, 2]
     assert some.misfit.tolist() == MISFIT[1:].tolist()
     assert some.lag.tolist() == [0.2, 0.3]
     assert some.own_dead_time.tolist() == [1, 2]
     assert (some.dead_time, some.side) == (0.05, None)
-    assert whole.only(np.ones(3, dtype=bool)) is whole
+    assert whole.select_robots(np.ones(3, dtype=bool)) is whole

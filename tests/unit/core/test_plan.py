@@ -8,7 +8,7 @@ import pytest
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
-from tetractl.core.plan import Limits, Outcome, Plan, Problem, Search, StopReason, never
+from tetractl.core.plan import Limits, Outcome, Plan, Problem, Search, StopReason, never_expires
 from tetractl.core.poses import Poses
 
 POSES = Poses.from_array(np.arange(9.0).reshape(3, 3))
@@ -33,7 +33,7 @@ MOVED = {
 
 
 def test_a_problem_of_some_robots_has_the_values_of_these():
-    some = replace(PROBLEM, **MOVED).only(np.array([True, False, True]))
+    some = replace(PROBLEM, **MOVED).select_robots(np.array([True, False, True]))
     assert some.poses.array().tolist() == [[0, 1, 2], [6, 7, 8]]
     assert some.targets.tolist() == [[0, 1], [4, 5]]
     assert some.a.tolist() == [1, 3]
@@ -46,9 +46,9 @@ def test_a_problem_of_some_robots_has_the_values_of_these():
 
 
 def test_what_a_problem_does_not_state_no_part_of_it_states():
-    some = PROBLEM.only(np.array([False, True, False]))
+    some = PROBLEM.select_robots(np.array([False, True, False]))
     assert (some.bias, some.flow, some.side, some.saturation) == (None,) * 4
-    assert PROBLEM.only(np.ones(3, dtype=bool)) is PROBLEM
+    assert PROBLEM.select_robots(np.ones(3, dtype=bool)) is PROBLEM
 
 
 def test_the_drift_has_the_turn_by_the_bias_and_the_flow():
@@ -75,7 +75,7 @@ def test_a_search_may_use_as_many_evaluations_as_its_limit_and_no_more():
 def test_only_a_search_with_a_deadline_is_timed():
     assert not Limits(100).timed
     assert Limits(expired=lambda evaluations: True).timed
-    assert not never(10**9)
+    assert not never_expires(10**9)
 
 
 SEARCHES = tuple(

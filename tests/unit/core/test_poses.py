@@ -15,7 +15,7 @@ from tetractl.core.poses import (
     Poses,
     Sample,
     Sight,
-    turn_problem,
+    describe_excess_angle,
     wrap,
 )
 
@@ -53,12 +53,12 @@ def test_angles_within_half_a_turn_are_not_changed_and_nan_stays():
 
 @pytest.mark.parametrize("angle", [0.0, 6.28, -6.28, 2 * math.pi, math.nan])
 def test_an_angle_of_up_to_a_turn_has_no_problem(angle):
-    assert turn_problem(angle) is None
+    assert describe_excess_angle(angle) is None
 
 
 @pytest.mark.parametrize(("angle", "radians"), [(90.0, "1.571"), (-90.0, "-1.571"), (6.3, "0.11")])
 def test_an_angle_of_more_is_probably_in_degrees(angle, radians):
-    problem, hint = turn_problem(angle)
+    problem, hint = describe_excess_angle(angle)
     assert problem == "is more than a whole turn, which is 6.283 rad"
     assert hint.startswith(f"if this is an angle in degrees, write {radians}")
 
@@ -84,7 +84,7 @@ NOTHING = Sight()
     ],
 )
 def test_a_camera_is_coarse_if_it_measures_on_a_grid(sight, coarse):
-    assert sight.coarse is coarse
+    assert sight.has_grid is coarse
 
 
 def test_the_largest_error_is_four_deviations_and_half_a_grid():
@@ -101,12 +101,12 @@ def test_the_largest_error_is_four_deviations_and_half_a_grid():
 def test_the_spread_of_a_grid_is_that_of_an_even_error():
     rng = np.random.default_rng(5)
     even = rng.uniform(-1, 1, 200_000)
-    x, y, heading = Sight(grid_mm=2.0, grid_rad=0.2).spread
+    x, y, heading = Sight(grid_mm=2.0, grid_rad=0.2).pose_std
     assert x == y == pytest.approx(even.std(), rel=0.01)
     assert heading == pytest.approx(0.1 * even.std(), rel=0.01)
-    both = Sight(grid_mm=2.0, noise_mm=0.7, noise_rad=0.3).spread
+    both = Sight(grid_mm=2.0, noise_mm=0.7, noise_rad=0.3).pose_std
     assert both == pytest.approx((math.hypot(x, 0.7), math.hypot(x, 0.7), 0.3))
-    assert NOTHING.spread == (0, 0, 0)
+    assert NOTHING.pose_std == (0, 0, 0)
 
 
 def observation(frame, valid=(True, False), exposed_ns=()):
@@ -151,14 +151,14 @@ def test_the_truth_of_frames_is_known_only_if_that_of_each_is():
     assert Frames.from_samples([*SAMPLES, unknown], 2).truth is None
     assert Frames.from_samples([], 2).truth.shape == (0, 2, 3)
     known = Frames.from_samples(SAMPLES, 2)
-    joined = Frames.joined([known, Frames.from_samples([], 2), known])
+    joined = Frames.join([known, Frames.from_samples([], 2), known])
     assert joined.truth.shape == (6, 2, 3)
-    assert Frames.joined([known, Frames.from_samples([unknown], 2)]).truth is None
+    assert Frames.join([known, Frames.from_samples([unknown], 2)]).truth is None
 
 
 def test_parts_of_frames_join_to_the_whole():
     whole = Frames.from_samples(SAMPLES, 2)
-    again = Frames.joined([whole.part(slice(0, 1)), whole.part(np.array([1, 2]))])
+    again = Frames.join([whole.select(slice(0, 1)), whole.select(np.array([1, 2]))])
     for ours, theirs in zip(again, whole, strict=True):
         assert ours.tolist() == theirs.tolist()
-    assert Frames.from_samples([Sample(observation(1), None)], 2).part(slice(0, 1)).truth is None
+    assert Frames.from_samples([Sample(observation(1), None)], 2).select(slice(0, 1)).truth is None

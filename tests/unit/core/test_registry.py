@@ -74,7 +74,7 @@ def test_a_broken_package_is_named_with_its_entry_point(site, monkeypatch, targe
     assert "\n" not in raised.value.message
     assert f"'bad = {target} of {GROUP}'" in str(raised.value.hint)
     assert raised.value.exit == 2
-    assert list(registry.usable()) == ["euler", "pi"]
+    assert list(registry.load_usable()) == ["euler", "pi"]
 
 
 def test_an_unknown_name_is_a_key_error():

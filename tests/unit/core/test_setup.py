@@ -52,7 +52,7 @@ def test_distances_are_those_to_the_targets():
 @pytest.mark.parametrize("robots", [[0], [2, 0], [1, 2, 3], [3, 2, 1, 0]])
 def test_a_setup_of_some_robots_has_the_values_of_these_in_their_order(robots):
     whole = experiment(4).setup
-    some = whole.only(robots)
+    some = whole.select_robots(robots)
     assert list(some.names) == [f"robot {i}" for i in robots]
     assert list(some.colors) == [whole.colors[i] for i in robots]
     assert some.a.tolist() == whole.a[robots].tolist()

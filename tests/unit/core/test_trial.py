@@ -9,7 +9,7 @@ from testkit.batches import result
 
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.core.trial import EMULATED_PLANT, REAL_DEVICE, PlantInfo, Verdict
+from tetractl.core.trial import EMULATED_PLANT, REAL_DEVICE_FACT, PlantInfo, Verdict
 
 VERDICT = Verdict(
     Poses.from_array(np.zeros((3, 3))),
@@ -83,8 +83,8 @@ def test_only_the_steps_in_which_robots_drove_have_to_keep_the_period():
         ("sim", True, {}, True),
         ("lab", False, {}, False),
         (EMULATED_PLANT, False, {}, True),
-        (EMULATED_PLANT, False, {REAL_DEVICE: "camera"}, False),
-        ("lab", False, {REAL_DEVICE: "camera"}, False),
+        (EMULATED_PLANT, False, {REAL_DEVICE_FACT: "camera"}, False),
+        ("lab", False, {REAL_DEVICE_FACT: "camera"}, False),
     ],
 )
 def test_a_plant_without_a_real_device_runs_in_virtual_time(kind, simulated, facts, virtual):

@@ -143,7 +143,7 @@ def accused(
         frames.append(CameraFrame(len(frames), now_ns, now_ns, poses, exposed_ns=times_ns))
         if before is not None and seconds_left(now_ns) > learnt_until_s:
             pairs = zip(before, poses, strict=True)
-            motions.travelled += [RobotStep.between(*pair).motion for pair in pairs]
+            motions.travelled += [RobotStep.from_poses(*pair).motion for pair in pairs]
             drift.check_frame(now_ns, times_ns, poses)
         before = poses
     shown = [frame for frame in frames if now_ns - frame.sampled_ns <= RECENT_NS]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.frames import AcceptedFrame
-from tetractl.tools.worker import WAITING_MAX
+from tetractl.tools.worker import QUEUE_MAX
 
 
 def frame(number):
@@ -34,12 +34,12 @@ def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
 
 def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
     buffer = FrameBuffer()
-    for number in range(WAITING_MAX + 5):
+    for number in range(QUEUE_MAX + 5):
         buffer.append(frame(number))
     frames, read = buffer.since(0)
-    assert [frame.frame.number for frame in frames] == list(range(5, WAITING_MAX + 5))
-    assert buffer.since(read) == ([], WAITING_MAX + 5), "none comes twice"
-    newest = WAITING_MAX + 4
+    assert [frame.frame.number for frame in frames] == list(range(5, QUEUE_MAX + 5))
+    assert buffer.since(read) == ([], QUEUE_MAX + 5), "none comes twice"
+    newest = QUEUE_MAX + 4
     in_20_ns = [frame.frame.number for frame in buffer.recent(20)]  # one frame every 10 ns
     assert in_20_ns == [newest - 2, newest - 1, newest]
 

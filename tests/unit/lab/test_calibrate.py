@@ -26,7 +26,7 @@ from tetractl.lab.calibrate import (
 from tetractl.lab.frames import AcceptedFrame, TimedPose
 from tetractl.lab.rig import Rig
 from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 
 class SteeringActuator:
@@ -36,7 +36,7 @@ class SteeringActuator:
 def test_an_actuator_without_wheels_is_not_calibrated():
     """Regression: an assertion failed; under `python -O` the robots were driven at the spec's
     speed, whatever the limit."""
-    experiment = on_plant(parse_spec(SPEC, "lab.yaml"), "lab").experiment
+    experiment = select_plant(parse_spec(SPEC, "lab.yaml"), "lab").experiment
     lab = experiment.plant
     rig = SimpleNamespace(actuator=SteeringActuator())
     name = experiment.setup.names[0]
@@ -123,8 +123,8 @@ LIMIT = 26
 def calibrated(**wheels):
     """Calibrate one robot with such wheels in virtual time; return what was found, and the lab."""
     spec = parse_spec(SPEC, "lab.yaml")
-    lab = on_plant(spec, "lab").experiment.plant
-    setup = on_plant(spec, "lab").experiment.setup
+    lab = select_plant(spec, "lab").experiment.plant
+    setup = select_plant(spec, "lab").experiment.setup
     rigs = []
 
     def make_rig(limits, one):

@@ -90,7 +90,7 @@ class Watched:
         if before is None:
             return ""
         pairs = zip(before, poses, strict=True)
-        self.motions.travelled += [RobotStep.between(then, pose).motion for then, pose in pairs]
+        self.motions.travelled += [RobotStep.from_poses(then, pose).motion for then, pose in pairs]
         aborts = self.check.check_frame(now_ns, [now_ns] * len(poses), poses)
         return aborts[0].text if aborts else ""
 
@@ -360,7 +360,7 @@ def test_errors_of_wheels_delays_drifts_and_pictures_move_robots_by_the_equation
     check._radius = radius
     check._find_commands = lambda block: commands
     motion = rng.normal(size=3)
-    block = RobotStep(motion, motion, round(dt_s * SECOND), before=Pose(300.0, -200.0, 0.0))
+    block = RobotStep(motion, motion, round(dt_s * SECOND), start_pose=Pose(300.0, -200.0, 0.0))
     (row,), (variance,) = check._build_columns([block], motion[None])
     v, w = commands[0]
     assert row[:, 0] == pytest.approx(motion - [v * dt_s, 0.0, w * dt_s])

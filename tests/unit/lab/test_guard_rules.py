@@ -63,8 +63,8 @@ def test_a_run_goes_on_without_a_robot_only_if_the_spec_says_so():
     assert rules(replace(keep, loss=None)).may_lose_robots is False
 
     class Loss:
-        def __init__(self, ends):
-            self.ends = ends
+        def __init__(self, ends_trial):
+            self.ends_trial = ends_trial
 
-    assert rules(replace(keep, loss=Loss(ends=True))).may_lose_robots is False
-    assert rules(replace(keep, loss=Loss(ends=False))).may_lose_robots is True
+    assert rules(replace(keep, loss=Loss(ends_trial=True))).may_lose_robots is False
+    assert rules(replace(keep, loss=Loss(ends_trial=False))).may_lose_robots is True

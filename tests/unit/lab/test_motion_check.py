@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import UNSTATED, Pose, Sight
-from tetractl.core.robot_step import PARTS
+from tetractl.core.poses import UNKNOWN_SIGHT, Pose, Sight
+from tetractl.core.robot_step import PART_NAMES
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
@@ -403,7 +403,7 @@ def test_a_motion_that_no_command_explains_is_described_by_its_first_reason(
     commanded = [commanded_along, 0.0, commanded_around]
     motion = np.array([[along, across, around], commanded, commanded], dtype=float)
     said = describe_fault(motion, SLACK, has_wheels=True)
-    expected = {"along": PARTS[0], "across": PARTS[1], "around": PARTS[2]}
+    expected = {"along": PART_NAMES[0], "across": PART_NAMES[1], "around": PART_NAMES[2]}
     assert said == (MOVES_UNEXPLAINED.format(expected[text]) if text in expected else text)
     of_cell = describe_fault(motion, SLACK, has_wheels=False)
     assert of_cell == MESSAGES_OF_CELLS.get(said, said)
@@ -431,7 +431,7 @@ def test_a_standing_robot_may_be_off_by_its_slack_and_noise_in_any_unit(mm, off_
             assert abs(fault.excess.limit) == pytest.approx(7.4)
 
 
-@pytest.mark.parametrize("sight", [UNSTATED, Sight(noise_rad=0.02, noise_mm=1.0)])
+@pytest.mark.parametrize("sight", [UNKNOWN_SIGHT, Sight(noise_rad=0.02, noise_mm=1.0)])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_standing_robot_may_turn_by_its_slack_and_twice_the_error_of_a_heading(sight, sign):
     rules = GuardRules(("one",), (SPEED,), (A,), ARENA, LabLimits(), wheel_radius=40.0, sight=sight)

@@ -12,7 +12,7 @@ from testkit.trials import experiment
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose, Poses
 from tetractl.core.protocols import RobotStatus
-from tetractl.core.trial import EMULATED_DEVICES
+from tetractl.core.trial import EMULATED_DEVICES_FACT
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.preflight import (
     Preflight,
@@ -39,9 +39,9 @@ def test_a_good_lab_has_no_problem():
 
 
 def test_facts_name_emulated_devices_only_if_there_are_any(monkeypatch):
-    assert EMULATED_DEVICES not in looked_over().facts
+    assert EMULATED_DEVICES_FACT not in looked_over().facts
     monkeypatch.setattr(Rig, "list_emulated", lambda *devices: ["camera", "robots"])
-    assert looked_over().facts[EMULATED_DEVICES] == "camera, robots"
+    assert looked_over().facts[EMULATED_DEVICES_FACT] == "camera, robots"
 
 
 def test_each_device_is_checked_once(monkeypatch):

@@ -19,7 +19,7 @@ from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import POSE_REPEATS, SLACK_S
 from tetractl.spec.lab_section import LabLimits
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 MS = 1_000_000
 MAT = Sight(grid_mm=1.36, grid_rad=math.radians(1.0), rate_hz=100.0)
@@ -205,9 +205,9 @@ def test_a_robot_whose_own_times_stand_still_is_lost_though_its_pose_is_repeated
 def test_the_spread_is_of_the_noise_and_of_the_grid():
     """A uniform error of a step d has the standard deviation d / sqrt(12)."""
     noisy = Sight(noise_mm=3.0, grid_mm=1.36)
-    assert noisy.spread[0] == pytest.approx(math.hypot(3.0, 1.36 / math.sqrt(12)))
-    assert noisy.coarse
-    assert not Sight(noise_mm=3.0).coarse
+    assert noisy.pose_std[0] == pytest.approx(math.hypot(3.0, 1.36 / math.sqrt(12)))
+    assert noisy.has_grid
+    assert not Sight(noise_mm=3.0).has_grid
 
 
 @pytest.mark.parametrize(("declared_hz", "warned"), [(0.0, 0), (120.0, 0), (200.0, 1)])
@@ -289,4 +289,4 @@ def test_the_setup_of_another_plant_has_the_sight_of_its_camera(monkeypatch):
     loaded = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml")
     assert loaded.experiment.setup.sight == Sight()
     monkeypatch.setattr(OptitrackSection, "sight", MAT)
-    assert on_plant(loaded, "lab").experiment.setup.sight == MAT
+    assert select_plant(loaded, "lab").experiment.setup.sight == MAT

@@ -157,7 +157,7 @@ def command(monkeypatch, stopped):
             if port not in retaken:
                 ports.held.remove(port)
 
-        monkeypatch.setattr(lab, "_stops", lambda *_: partial(stopped, ports))
+        monkeypatch.setattr(lab, "_find_stop_function", lambda *_: partial(stopped, ports))
         monkeypatch.setattr(lab, "stop_and_end_holder", end)
         return lab.stop(), ended
 

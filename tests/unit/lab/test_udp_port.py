@@ -14,7 +14,7 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.port_holder import find_holder
 from tetractl.lab.serial_port import PortHeldError, SerialPort, stop_all_at
 from tetractl.lab.udp_port import ATTEMPTS_MAX, UdpPort, lock_file_of, open_port, parse_address
-from tetractl.spec.lab_section import STOPS
+from tetractl.spec.lab_section import STOP_COUNT
 
 PATIENCE_S = 60
 
@@ -211,11 +211,11 @@ def test_robots_that_listen_get_their_stops_though_another_does_not(robot, name,
     with device() as closed:
         closed.bind(("127.0.0.1", 0))
         silent_name = f"udp://127.0.0.1:{closed.getsockname()[1]}"
-    what = f"^sent {STOPS} stops, but not to all robots: .* at the address {silent_name}"
+    what = f"^sent {STOP_COUNT} stops, but not to all robots: .* at the address {silent_name}"
     with pytest.raises(AbortError, match=what):
         stopped(port_to(silent_name), port_to(name))
-    assert [robot.recv(100) for _ in range(STOPS)] == [b"stop"] * STOPS
-    assert stopped(port_to(name)) == f"sent {STOPS} stops"
+    assert [robot.recv(100) for _ in range(STOP_COUNT)] == [b"stop"] * STOP_COUNT
+    assert stopped(port_to(name)) == f"sent {STOP_COUNT} stops"
 
 
 def test_a_link_in_the_place_of_the_lock_is_not_followed(port_to, tmp_path):

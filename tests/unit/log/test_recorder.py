@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 from testkit.trials import DISTURBED, THREE_M3PI
 
-from tetractl.core.loggable import drawn
+from tetractl.core.loggable import round_for_drawing
 from tetractl.log.read.reader import read_trial
 from tetractl.log.recorder import TrialRecorder
 from tetractl.run.logged_trial import log_path, run_logged
@@ -40,7 +40,9 @@ def test_a_trial_in_memory_equals_the_trial_of_its_log(tmp_path):
     for logged_step, step in zip(logged.steps, kept.steps, strict=True):
         assert not first_difference(logged_step.command, step.command)
         assert not first_difference(logged_step.observation, step.observation)
-        assert np.array_equal(logged_step.plan.path[..., :2], drawn(step.plan.path[..., :2]))
+        assert np.array_equal(
+            logged_step.plan.path[..., :2], round_for_drawing(step.plan.path[..., :2])
+        )
         assert np.array_equal(logged_step.plan.signals, step.plan.signals)
     assert [event.text for event in logged.events] == [event.text for event in kept.events]
 

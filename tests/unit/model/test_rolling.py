@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.motion.rolling import (
     ENTRIES_AT_FIRST,
@@ -53,7 +53,7 @@ def random_rates(seed, number=6):
 def turned_until_rest(heading, since_ns, acts_ns, lag_s, sent):
     """The headings at a standstill, by steps of 0.1 ms of T w' = c - w, theta' = w."""
     step_ns = MS // 10
-    used = [k for k in range(len(sent.times_ns)) if sent.times_ns[k] != NEVER]
+    used = [k for k in range(len(sent.times_ns)) if sent.times_ns[k] != NEVER_NS]
     turning = sent.true_at_first.copy()
     theta = np.array(heading)
     decay = math.exp(-step_ns / SECOND / lag_s)
@@ -90,7 +90,7 @@ def test_what_is_forgotten_does_not_matter_later(seed, forgotten_ms, later_ms):
     forget(twice, forgotten_ns, 0.05)
     assert twice.times_ns[1] > forgotten_ns  # only what still acts, or will, is left
     assert twice.times_ns[0] <= forgotten_ns
-    assert (twice.times_ns != NEVER).sum() == 1 + (times_ns > forgotten_ns).sum()
+    assert (twice.times_ns != NEVER_NS).sum() == 1 + (times_ns > forgotten_ns).sum()
     headings = []
     for kept in (sent, twice):
         forget(kept, now_ns, 0.05)
@@ -105,7 +105,7 @@ def test_a_rate_at_the_time_of_the_frame_has_replaced_the_one_before():
     assert sent.times_ns[:3].tolist() == [0, 20 * MS, 50 * MS]
     forget(sent, 20 * MS, 0.05)
     assert sent.times_ns[:2].tolist() == [20 * MS, 50 * MS]
-    assert sent.times_ns[2] == NEVER
+    assert sent.times_ns[2] == NEVER_NS
     assert sent.rates[0] == pytest.approx([2.0, 3.0])
 
 
@@ -117,10 +117,10 @@ def test_there_is_always_room_for_one_more_rate_and_nothing_gets_lost():
     for k in range(1, 40):
         sent = sent.with_room()
         note(sent, k * MS, np.array([[0.0, 1.0 * k], [2.0 * k, 0.0]]), RADIUS)
-        assert sent.times_ns[-1] == NEVER
+        assert sent.times_ns[-1] == NEVER_NS
     number = 40
     assert sent.times_ns[:number].tolist() == [k * MS for k in range(number)]
-    assert (sent.times_ns[number:] == NEVER).all()
+    assert (sent.times_ns[number:] == NEVER_NS).all()
     speeds = body_velocity(np.array([0.0, 39.0]), np.array([78.0, 0.0]), RADIUS)
     assert sent.rates[39] == pytest.approx(speeds[1])
     assert len(sent.times_ns) <= 2 * number

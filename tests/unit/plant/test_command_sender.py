@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit.trials import experiment
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Observation, Poses
 from tetractl.plant.command_sender import STOPS_MAX, CommandSender
 from tetractl.spec.disturbance import Disturbance
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 
 SETUP = replace(experiment().setup, wheel_radius=None)
 ROBOTS = len(SETUP.names)
@@ -82,7 +82,7 @@ def test_an_action_is_held_until_the_next_one():
     actions = [host.send(0, frame(), action).action for action in (None, Steer(0.3), None, Turn(1))]
     assert actions == [FieldOff(), Steer(0.3), Steer(0.3), Turn(1)]
     assert [command.action for command in transit.sent] == actions
-    assert host.repeats_ns == NEVER
+    assert host.repeats_ns == NEVER_NS
 
 
 def test_one_stop_is_enough_where_none_can_be_lost():
@@ -109,7 +109,7 @@ def test_stops_that_all_arrive_are_ten_and_those_that_never_do_end():
     transit = Transit()
     disturbances = [LosesCommands()]
     assert all(sender(transit, disturbances=disturbances).send_stops(0, frame()).delivered)
-    assert len(transit.sent) == STOPS
+    assert len(transit.sent) == STOP_COUNT
     deaf = Transit(lambda _: [2])
     sent = sender(deaf, disturbances=disturbances).send_stops(0, frame())
     assert sent.delivered == (True, True, False)

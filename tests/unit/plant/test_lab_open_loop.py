@@ -7,10 +7,10 @@ from testkit.trials import experiment
 from tetractl.control.methods.sequence import SequenceSection
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Outcome
-from tetractl.core.trial import EPOCH_NS, PlantInfo
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.loaded_spec import LoadedSpec, create_start
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ def driven(dies_s=None):
     lab.clock.steps.append(die)
     info = PlantInfo("", False, 0.0, {})
     return Trial(
-        start_of(LoadedSpec(spec, "", "spec.yaml"), 0, info, EPOCH_NS),
+        create_start(LoadedSpec(spec, "", "spec.yaml"), 0, info, SIMULATED_START_NS),
         lab.plant,
         section.build(spec.setup, 1),
         lab.clock,

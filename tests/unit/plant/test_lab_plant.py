@@ -14,7 +14,7 @@ from tetractl.core.losses import LossRule
 from tetractl.core.protocols import Health
 from tetractl.core.trial import Note
 from tetractl.lab.guard_checks import robot_checks
-from tetractl.spec.lab_section import STOPS, LabLimits
+from tetractl.spec.lab_section import STOP_COUNT, LabLimits
 
 pytestmark = pytest.mark.slow
 
@@ -173,7 +173,7 @@ def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(cal
     lab.plant.events()
     stop = lab.plant.send(Stop()) if call == "send" else lab.plant.stop()
     stops = [sent.sent_ns for sent in lab.actuator.sent if isinstance(sent.action, Stop)]
-    assert len(stops) == STOPS
+    assert len(stops) == STOP_COUNT
     assert (stop.action, stop.sent_ns) == (Stop(), stops[0])
     others = [event.sent_ns for event in lab.plant.events() if isinstance(event, Command)]
     assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]

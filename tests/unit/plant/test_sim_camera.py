@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tetractl.core.clock import NEVER
+from tetractl.core.clock import NEVER_NS
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Poses
 from tetractl.plant.sim_camera import SimCamera
@@ -61,7 +61,7 @@ def test_without_disturbances_frames_arrive_at_once_and_show_the_truth():
 def test_noise_has_the_deviations_of_the_spec_and_the_truth_has_none():
     sim_camera = camera(position=2.0, heading=0.1)
     expose(sim_camera, *range(3000))
-    sim_camera.receive(NEVER)
+    sim_camera.receive(NEVER_NS)
     samples = sim_camera.samples()
     measured = np.array([sample.observation.poses.array() for sample in samples])
     truth = np.array([sample.truth.array() for sample in samples])
@@ -75,7 +75,7 @@ def test_noise_has_the_deviations_of_the_spec_and_the_truth_has_none():
 def test_only_the_noise_that_the_spec_has_is_added():
     sim_camera = camera(heading=0.1)
     expose(sim_camera, 5)
-    sim_camera.receive(NEVER)
+    sim_camera.receive(NEVER_NS)
     poses = sim_camera.newest.poses
     assert (poses.x.tolist(), poses.y.tolist()) == ([5, 5], [5, 5])
     assert poses.heading.tolist() != [5, 5]
@@ -84,7 +84,7 @@ def test_only_the_noise_that_the_spec_has_is_added():
 def test_a_lost_frame_never_arrives_but_has_a_number():
     sim_camera = camera(Late({20: None}))
     expose(sim_camera, 10, 20, 30)
-    sim_camera.receive(NEVER)
+    sim_camera.receive(NEVER_NS)
     assert [sample.observation.frame for sample in sim_camera.samples()] == [0, 2]
 
 
@@ -93,7 +93,7 @@ def test_a_frame_that_would_overtake_another_arrives_together_with_it():
     expose(sim_camera, 10, 20, 70)
     sim_camera.receive(59 * MS)
     assert sim_camera.samples() == []
-    sim_camera.receive(NEVER)
+    sim_camera.receive(NEVER_NS)
     arrivals = [sample.observation.received_ns // MS for sample in sim_camera.samples()]
     assert arrivals == [60, 60, 70]
 
@@ -139,7 +139,7 @@ def test_a_lost_robot_keeps_the_pose_of_the_last_frame_that_arrived():
     sim_camera = camera(Hides(0.03, 0.04), Late({20: None}))
     expose(sim_camera, 10, 20, 30)
     expose(sim_camera, 40, 50)
-    sim_camera.receive(NEVER)
+    sim_camera.receive(NEVER_NS)
     frames = [sample.observation for sample in sim_camera.samples()]
     shown = [frame.poses.x.tolist() for frame in frames]
     assert shown == [[10, 10], [10, 30], [10, 40], [50, 50]]

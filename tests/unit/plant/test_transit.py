@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.commands import Steer, Stop
 from tetractl.plant.transit import Transit, Watchdogs
 from tetractl.spec.disturbance import DelayedCommand, Disturbance
@@ -25,7 +25,7 @@ def command(sent_ns, due_ns, reached=(True, True, True), late_ns=None, action=No
 def arrivals(transit):
     """Take all commands; return the times of sending and arrival of what each robot receives."""
     received = [[], [], []]
-    while transit.next_ns != NEVER:
+    while transit.next_ns != NEVER_NS:
         due_ns = transit.next_ns
         part = transit.pop()
         assert part.due_ns == due_ns
@@ -70,12 +70,12 @@ def test_robots_with_the_same_delay_receive_one_command_together():
     parts = [transit.pop(), transit.pop()]
     assert [part.due_ns for part in parts] == [10, 17]
     assert [part.reached.tolist() for part in parts] == [[False, True, False], [True, False, True]]
-    assert transit.next_ns == NEVER
+    assert transit.next_ns == NEVER_NS
 
 
 def test_without_a_command_nothing_is_on_its_way():
     transit = Transit(2, [])
-    assert (transit.next_ns, transit.settled_ns) == (NEVER, 0)
+    assert (transit.next_ns, transit.settled_ns) == (NEVER_NS, 0)
 
 
 def test_disturbances_change_a_command_one_after_another_and_the_sender_gets_the_result():
@@ -90,7 +90,7 @@ def test_disturbances_change_a_command_one_after_another_and_the_sender_gets_the
 
 def test_a_watchdog_expires_after_its_timeout_for_those_that_received_the_command():
     watchdogs = Watchdogs(3, 0.25)
-    assert watchdogs.next_ns == NEVER
+    assert watchdogs.next_ns == NEVER_NS
     watchdogs.restart(command(0, SECOND, (True, False, True)))
     assert watchdogs.next_ns == 1.25 * SECOND
     watchdogs.restart(command(0, 2 * SECOND, (True, True, False)))
@@ -109,7 +109,7 @@ def test_a_stopped_robot_has_no_watchdog_until_its_next_command():
     watchdogs = Watchdogs(1, 0.5)
     watchdogs.restart(command(0, 0, (True,)))
     watchdogs.restart(command(1, 100, (True,), action=Stop()))
-    assert watchdogs.next_ns == NEVER
+    assert watchdogs.next_ns == NEVER_NS
     watchdogs.restart(command(1, 200, (True,)))
     assert watchdogs.next_ns == SECOND // 2 + 200
 
@@ -117,4 +117,4 @@ def test_a_stopped_robot_has_no_watchdog_until_its_next_command():
 def test_robots_without_watchdogs_never_stop_by_themselves():
     watchdogs = Watchdogs(2, math.inf)
     watchdogs.restart(command(0, 5, (True, True)))
-    assert watchdogs.next_ns == NEVER
+    assert watchdogs.next_ns == NEVER_NS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from testkit.trials import experiment
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Observation, Poses
 from tetractl.model.wheels import COUNT_MAX, body_velocity
@@ -116,16 +116,16 @@ def test_a_stop_is_known_when_the_next_headings_are_predicted():
 def test_a_host_without_a_rate_never_repeats_and_one_with_a_rate_does_until_a_stop():
     silent = host()
     silent.transmit(0, Steer(1.2), True, frame())
-    assert silent.repeats_ns == NEVER
+    assert silent.repeats_ns == NEVER_NS
     repeating = host(rate=50.0)
-    assert repeating.repeats_ns == NEVER
+    assert repeating.repeats_ns == NEVER_NS
     repeating.transmit(SECOND, Steer(1.2), True, frame())
     assert repeating.repeats_ns == SECOND + SECOND // 100, "half a period at least"
     for k in range(3):
         repeating.transmit(repeating.repeats_ns, Steer(1.2), False, frame())
         assert repeating.repeats_ns == SECOND + SECOND // 100 + (k + 1) * SECOND // 50
     repeating.halt(2 * SECOND)
-    assert repeating.repeats_ns == NEVER
+    assert repeating.repeats_ns == NEVER_NS
 
 
 def test_wheels_without_errors_are_as_the_host_knows_them():

@@ -94,7 +94,7 @@ def test_of_robots_on_wheels_no_circles_are_said():
 
 @pytest.mark.parametrize("found", [True, False])
 def test_of_robots_that_are_still_to_be_found_nothing_is_said(found, monkeypatch):
-    monkeypatch.setattr(Experiment, "open", not found)
+    monkeypatch.setattr(Experiment, "must_choose_robots", not found)
     spec = experiment()
     nothing = {"reach": None, "most_similar": [], "smallest_difference": None}
     assert (facts_table(spec) is not None) == found

@@ -88,7 +88,7 @@ def test_the_two_most_similar_robots_differ_least_in_a():
     setup = three_robots().setup
     slower, faster = most_similar(setup)
     assert (setup.a[slower], setup.a[faster]) == (3, 4)
-    assert most_similar(setup.only([0])) is None
+    assert most_similar(setup.select_robots([0])) is None
 
 
 @pytest.mark.usefixtures("few_sequences")

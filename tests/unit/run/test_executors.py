@@ -127,7 +127,7 @@ def pool(monkeypatch):
     def install(**options):
         pool = Pool(**options)
         monkeypatch.setattr(executors, "WorkerPool", pool)
-        monkeypatch.setattr(executors, "fresh_context", lambda modules: Context())
+        monkeypatch.setattr(executors, "create_clean_context", lambda modules: Context())
         return pool
 
     return install

@@ -9,7 +9,7 @@ from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
-from tetractl.core.losses import Losses, LossRule
+from tetractl.core.losses import LossRule, LossTracker
 from tetractl.core.poses import Observation, Poses
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
@@ -36,7 +36,7 @@ LISTED = """robots:
 
 MARKED = "robots: {marks: [[800, 800], [1900, 900], [1500, 2100]]}\n"
 
-GOES_ON = LossRule(0.3, replaced=False, dead=True)
+GOES_ON = LossRule(0.3, replaces_lost=False, includes_dead=True)
 
 
 def seen(t, valid):
@@ -60,20 +60,20 @@ VALID = {  # by the time [s]: the first robot is not seen for up to 0.3 s before
     ("rule", "lost", "times", "others"),
     [
         (None, [False, False], [0, 0], []),
-        (LossRule(0.3, replaced=False), [True, False], [1, 0], []),
-        (LossRule(0.3, replaced=True), [False, False], [1, 0], [(0.5, 0)]),
+        (LossRule(0.3, replaces_lost=False), [True, False], [1, 0], []),
+        (LossRule(0.3, replaces_lost=True), [False, False], [1, 0], [(0.5, 0)]),
     ],
 )
 def test_a_robot_is_lost_after_a_while_for_good_or_until_another_is_there(
     rule, lost, times, others
 ):
-    losses = Losses(rule, np.ones(2))
+    losses = LossTracker(rule, np.ones(2))
     replaced = []
     for t, valid in VALID.items():
         replaced += [(t, robot) for robot in losses.add_frame(seen(t, valid))]
     assert replaced == others
     assert losses.lost.tolist() == lost
-    assert losses.times.tolist() == times
+    assert losses.loss_counts.tolist() == times
 
 
 def driven(way_s, until_s=20.0, rule=GOES_ON):
@@ -81,7 +81,7 @@ def driven(way_s, until_s=20.0, rule=GOES_ON):
     at 120 Hz with a noise of 0.3 mm."""
     random = np.random.default_rng(1)
     robots = len(way_s(0.0))
-    losses = Losses(rule, np.full(robots, 100.0))
+    losses = LossTracker(rule, np.full(robots, 100.0))
     for k in range(round(120 * until_s)):
         t = k / 120
         way = 100 * np.array(way_s(t)) + random.normal(0, 0.3, robots)
@@ -112,7 +112,7 @@ def test_one_that_stands_while_another_drives_is_dead_and_lost(way_s, dead):
     losses = driven(way_s)
     assert losses.dead.tolist() == dead
     assert losses.lost.tolist() == dead
-    assert losses.times.tolist() == [int(is_dead) for is_dead in dead]
+    assert losses.loss_counts.tolist() == [int(is_dead) for is_dead in dead]
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ def test_a_robot_that_stands_is_named_once():
     probabilities = np.zeros(ROBOTS)
     probabilities[0] = 0.95
     stands = replace(FITS, stands=probabilities)
-    assert stands.standing(SETUP.names) == [NAME]
+    assert stands.list_standing(SETUP.names) == [NAME]
     text = f"{NAME} stands still although it is sent a direction"
     times_s = 1.0, 1.2, 3.0, 3.2
     estimates = [(s, stands) for s in times_s]

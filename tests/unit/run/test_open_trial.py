@@ -15,9 +15,9 @@ from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.log.read.reader import content_digest
 from tetractl.run.logged_trial import run_logged
 from tetractl.run.open_trial import DroppedError, OpenTrial, TruthWatch
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = {
     "name": "stepped",
@@ -41,7 +41,7 @@ REFUSED = {
 """The shipped specs that `sequence` cannot run, and why."""
 SHIPPED = {
     name: file
-    for name, file in examples().items()
+    for name, file in find_examples().items()
     if not name.startswith(("faults/", "studies/"))  # scripts of the emulated lab, and studies
 }
 
@@ -158,7 +158,7 @@ def test_what_a_sequence_cannot_do_is_refused():
 def test_a_lab_is_refused():
     lab = tetractl.load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml")
     with pytest.raises(UsageError, match="plant is the lab"):
-        tetractl.open_trial(on_plant(lab, "lab"))
+        tetractl.open_trial(select_plant(lab, "lab"))
 
 
 def test_its_spec_is_text_that_gives_the_same_trial(tmp_path):

@@ -16,7 +16,7 @@ from tetractl.run.plausibility import (
     targets_beyond_plan,
     targets_out_of_reach,
 )
-from tetractl.spec.base import ANGLE, Model
+from tetractl.spec.base import ANGLE_MARK, Model
 from tetractl.spec.load import load_spec, parse_contents, parse_spec
 from tetractl.spec.loaded_spec import resolved_yaml
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -390,7 +390,7 @@ def test_every_field_in_radians_is_marked_as_an_angle():
         for section in sections(Model)
         if not section.__module__.startswith("tetractl_emulator")  # scripts of faults, no specs
         for name, field in section.model_fields.items()
-        if "[rad]" in (field.description or "") and ANGLE not in field.metadata
+        if "[rad]" in (field.description or "") and ANGLE_MARK not in field.metadata
     ]
     assert (
         sorted(set(unmarked) - {"IdentifiedRobot.heading_bias", "IdentifiedRobot.heading_noise"})

@@ -26,7 +26,7 @@ class OpenPlant:
         self.calls.append("close")
 
 
-@pytest.mark.parametrize("part", ["build_controller", "start_of", "_model_monitor", "Trial"])
+@pytest.mark.parametrize("part", ["build_controller", "create_start", "_model_monitor", "Trial"])
 def test_robots_stop_and_the_plant_closes_if_a_part_of_the_trial_cannot_be_built(
     part, monkeypatch, tmp_path
 ):

@@ -23,13 +23,13 @@ def test_a_trial_runs_with_the_robots_that_the_rule_of_a_package_finds(tmp_path,
     spec = parse_spec(SPEC, "marked.yaml")
     middle = {(robot.name, robot.start) for robot in spec.experiment.robots}
     assert middle == {("robot 1", (1500.0, 1500.0)), ("robot 2", (1500.0, 1500.0))}
-    assert spec.experiment.open
-    assert spec.experiment.asked == MarkedRobots(marks=((600, 600), (600, 2000)))
+    assert spec.experiment.must_choose_robots
+    assert spec.experiment.stated_robots == MarkedRobots(marks=((600, 600), (600, 2000)))
     run_logged(spec, tmp_path)
     experiment = read_trial(tmp_path / "trial-000.mcap").experiment
     assert [robot.start for robot in experiment.robots] == [(600, 600), (600, 2000)]
-    assert not experiment.open
-    assert experiment.asked == spec.experiment.asked
+    assert not experiment.must_choose_robots
+    assert experiment.stated_robots == spec.experiment.stated_robots
     assert Experiment.model_validate(experiment.model_dump()) == experiment
 
 

@@ -15,7 +15,7 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
-from tetractl.serve.live import BACKLOG, ServedRun, Viewers
+from tetractl.serve.live import BACKLOG_MAX, ServedRun, Viewers
 from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000
@@ -110,7 +110,7 @@ def test_the_time_never_runs_back_but_by_a_jump(server):
 @pytest.mark.long
 def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     server = Live()
-    frames = 3 * BACKLOG  # far more than its queue and sockets hold
+    frames = 3 * BACKLOG_MAX  # far more than its queue and sockets hold
     with deaf(server.url, len(CHANNELS)) as stuck:
         with Viewer(server.url) as viewer:
             server.viewers.add(frame(0))

@@ -3,7 +3,7 @@
 import pytest
 
 from tetractl.core.clock import VirtualClock
-from tetractl.spec.actuator_alone import actuator_alone
+from tetractl.spec.actuator_alone import load_actuator_alone
 from tetractl.spec.yaml.document import parse_document
 
 TWIST = "{type: twist, port: a, robots: [{name: green}, {name: blue, port: b}]}"
@@ -13,7 +13,7 @@ M3PI = "{type: m3pi-xbee, port: a, robots: [{name: green}, {name: blue}]}"
 @pytest.mark.parametrize("actuator", [TWIST, M3PI])
 @pytest.mark.parametrize("section", ["plant", "lab"])
 def test_robots_are_those_of_the_actuator(section, actuator):
-    alone = actuator_alone(parse_document(f"{section}: {{actuator: {actuator}}}", "spec.yaml"))
+    alone = load_actuator_alone(parse_document(f"{section}: {{actuator: {actuator}}}", "spec.yaml"))
     actuator_section, setup = alone
     assert setup.names == ("green", "blue")
     actuator_section.build(setup, VirtualClock())
@@ -23,7 +23,7 @@ def test_a_real_lab_is_that_of_the_plant_if_both_have_an_actuator():
     """As of a spec without errors: `lab` is for specs whose plant is a simulation."""
     lab = TWIST.replace("green", "red")
     text = f"plant: {{actuator: {TWIST}}}\nlab: {{actuator: {lab}}}"
-    alone = actuator_alone(parse_document(text, "spec.yaml"))
+    alone = load_actuator_alone(parse_document(text, "spec.yaml"))
     assert alone is not None
     assert alone[1].names == ("green", "blue")
 
@@ -40,4 +40,4 @@ def test_a_real_lab_is_that_of_the_plant_if_both_have_an_actuator():
     ],
 )
 def test_an_actuator_that_is_missing_or_invalid_is_none(text):
-    assert actuator_alone(parse_document(text, "spec.yaml")) is None
+    assert load_actuator_alone(parse_document(text, "spec.yaml")) is None

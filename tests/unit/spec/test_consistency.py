@@ -19,7 +19,7 @@ from tetractl.spec.consistency import (
     find_section_errors,
     find_unreachable,
 )
-from tetractl.spec.load import load_spec, parse_contents, parse_written
+from tetractl.spec.load import load_spec, parse_contents, parse_resolved
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 CONTENTS = {
@@ -280,7 +280,7 @@ def test_only_a_field_that_is_switched_needs_a_plant_that_switches_it(by_control
     controller = type("C", (type(experiment.controller),), {"switches_field": by_controller})()
     plant = type("P", (type(experiment.plant),), {"switches_field": by_plant})()
     found = list(find_section_errors(changed(experiment, controller=controller, plant=plant)))
-    places = [finding.where for finding in found]
+    places = [finding.loc for finding in found]
     assert places == ([("plant",)] if by_controller and not by_plant else [])
 
 
@@ -294,7 +294,7 @@ def test_contradictions_of_each_section_are_placed_in_it():
     controller = type("C", (type(experiment.controller),), wrong)()
     plant = type("P", (type(experiment.plant),), wrong)()
     found = list(find_section_errors(changed(experiment, controller=controller, plant=plant)))
-    assert [finding.where for finding in found] == [
+    assert [finding.loc for finding in found] == [
         ("controller", "inner", 1),
         ("plant", "inner", 1),
     ]
@@ -311,8 +311,8 @@ def test_a_control_step_may_hold_one_gigabyte_of_numbers(numbers, is_refused):
     experiment = parse_contents(CONTENTS, "s.yaml").experiment
     held = {"numbers_held": lambda self, setup: numbers}
     controller = type("C", (type(experiment.controller),), held)()
-    found = list(find_errors(changed(experiment, controller=controller), written=True))
-    assert [finding.where for finding in found] == ([("controller",)] if is_refused else [])
+    found = list(find_errors(changed(experiment, controller=controller), is_resolved=True))
+    assert [finding.loc for finding in found] == ([("controller",)] if is_refused else [])
     if is_refused:
         assert "about 1.01 GB of memory, more than 1 GB" in found[0].text
 
@@ -324,11 +324,11 @@ def test_the_places_in_a_log_are_not_checked_but_its_names_and_sections_are():
     spec = contents([{"start": [-99, 20]}, {"start": [-99, 20], "target": [78, 40]}])
     spec |= {"controller": BODIES, "obstacles": [BOX | {"left": 999}]}
     assert len(refused(spec)) > 3
-    assert parse_written(json.dumps(spec), "log").experiment.robots[0].start == (-99, 20)
+    assert parse_resolved(json.dumps(spec), "log").experiment.robots[0].start == (-99, 20)
     same = contents([{"name": "a"}] * 2, controller={"type": "pso-mpc"}, hold=None)
     same["hold"] = {"radius": 5, "time": 10}
     with pytest.raises(InvalidSpecError) as caught:
-        parse_written(json.dumps(same), "log")
+        parse_resolved(json.dumps(same), "log")
     assert {problem.field for problem in caught.value.problems} == {"controller", "robots.1.name"}
 
 
@@ -354,7 +354,7 @@ def test_a_lab_must_be_able_to_choose_robots_only_if_trials_find_theirs(monkeypa
     assert list(find_section_errors(experiment)) == []
     chosen = MarkedRobots(marks=((900, 800),))
     findings = list(find_section_errors(experiment.model_copy(update={"chosen": chosen})))
-    assert [finding.where for finding in findings] == [("lab", "camera"), ("lab", "actuator")]
+    assert [finding.loc for finding in findings] == [("lab", "camera"), ("lab", "actuator")]
     assert "optitrack cannot choose the robots of a trial" in findings[0].text
     for device in (type(experiment.lab.camera), type(experiment.lab.actuator)):
         monkeypatch.setattr(device, "settles", True)
@@ -375,6 +375,6 @@ def test_the_places_of_stand_ins_are_not_checked():
     placed = experiment.model_copy(
         update={"robots": robots, "obstacles": (around,), "controller": controller}
     )
-    assert list(find_errors(placed, written=False)) != []
+    assert list(find_errors(placed, is_resolved=False)) != []
     chosen = MarkedRobots(marks=((0, 0),))
-    assert list(find_errors(placed.model_copy(update={"chosen": chosen}), written=False)) == []
+    assert list(find_errors(placed.model_copy(update={"chosen": chosen}), is_resolved=False)) == []

@@ -13,9 +13,16 @@ from testkit.paths import ROOT
 
 from tetractl.core.registries import CONTROLLERS, TRIAL_ROBOTS
 from tetractl.core.registry import Kind
-from tetractl.spec.experiment import Experiment, PerStrength, dealt, packages, rate, strength_unit
+from tetractl.spec.experiment import (
+    Experiment,
+    PerStrength,
+    assign_targets,
+    find_packages,
+    strength_unit,
+    turning_rate,
+)
 from tetractl.spec.load import load_spec, parse_contents
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 CONTENTS = {
@@ -108,7 +115,7 @@ LAB_SPEC = ROOT / "experiments/three_m3pi_lab.yaml"
 
 
 def in_lab(*settings):
-    return on_plant(load_spec(LAB_SPEC, settings), "lab").experiment
+    return select_plant(load_spec(LAB_SPEC, settings), "lab").experiment
 
 
 def test_the_lag_of_a_lab_replaces_that_of_the_wheels_only_in_the_lab():
@@ -140,13 +147,18 @@ def test_a_hold_is_the_task_of_the_setup():
 def test_a_simulation_without_wheels_has_no_rule_for_lost_robots_unless_it_goes_on():
     assert made().setup.loss is None
     rule = made(on_lost="drop").setup.loss
-    assert (rule.after_s, rule.replaced, rule.dead, rule.ends) == (0.3, False, False, False)
+    assert (rule.after_s, rule.replaces_lost, rule.includes_dead, rule.ends_trial) == (
+        0.3,
+        False,
+        False,
+        False,
+    )
 
 
 def test_a_robot_on_wheels_that_stands_counts_as_lost():
     rule = made(**WHEELS).setup.loss
-    assert (rule.replaced, rule.dead, rule.ends) == (False, True, True)
-    assert made(**WHEELS, on_lost="drop").setup.loss.ends is False
+    assert (rule.replaces_lost, rule.includes_dead, rule.ends_trial) == (False, True, True)
+    assert made(**WHEELS, on_lost="drop").setup.loss.ends_trial is False
 
 
 def test_the_time_of_a_lost_robot_is_the_limit_of_the_lab():
@@ -173,7 +185,7 @@ def test_robots_can_be_replaced_only_if_each_trial_chooses_them():
     assert field == "on_lost"
     assert "only with 'robots: {choose: N}' and without obstacles" in message
     chosen = parse_contents(with_marks(on_lost="replace"), "s").experiment
-    assert chosen.setup.loss.replaced
+    assert chosen.setup.loss.replaces_lost
     box = {"type": "rectangle", "left": 25, "bottom": 25, "width": 9, "height": 9}
     assert problem_of(with_marks(on_lost="replace", obstacles=[box]))[0] == "on_lost"
 
@@ -182,10 +194,10 @@ def test_robots_can_be_replaced_only_if_each_trial_chooses_them():
 def test_stand_ins_wait_in_the_middle_of_the_arena_until_a_trial_finds_its_robots():
     experiment = parse_contents(with_marks(), "s").experiment
     assert [robot.start for robot in experiment.robots] == [(30, 40), (30, 40)]
-    assert experiment.open
-    assert experiment.asked == experiment.chosen
-    assert not made().open
-    assert made().asked == made().robots
+    assert experiment.must_choose_robots
+    assert experiment.stated_robots == experiment.chosen
+    assert not made().must_choose_robots
+    assert made().stated_robots == made().robots
 
 
 @pytest.mark.usefixtures("marks")
@@ -202,7 +214,7 @@ def test_dealt_targets_are_all_different_and_no_exchange_is_better(seed, count, 
     rng = np.random.default_rng(seed)
     starts = rng.uniform(-10, 10, (count, 2))
     targets = rng.uniform(-10, 10, (count + more, 2))
-    goals = dealt(starts, targets)
+    goals = assign_targets(starts, targets)
     assert len(set(goals)) == count
     total = np.square(starts - targets[goals]).sum()
     for i in range(count):
@@ -305,8 +317,12 @@ def test_a_turning_rate_per_strength_is_proportional_to_it():
     electric = PerStrength(per_V_cm=2.0)
     assert (magnetic.key, magnetic.alpha) == ("per_mT", 0.5)
     assert (electric.key, electric.alpha) == ("per_V_cm", 2.0)
-    assert (rate(magnetic, 3.0), rate(electric, 3.0), rate(7.0, 3.0)) == (1.5, 6.0, 7.0)
-    assert (rate(magnetic, None), rate(7.0, None)) == (0.0, 7.0)
+    assert (turning_rate(magnetic, 3.0), turning_rate(electric, 3.0), turning_rate(7.0, 3.0)) == (
+        1.5,
+        6.0,
+        7.0,
+    )
+    assert (turning_rate(magnetic, None), turning_rate(7.0, None)) == (0.0, 7.0)
     assert strength_unit((magnetic, 7.0)) == "mT"
     assert strength_unit((7.0, electric)) == "V/cm"
     assert strength_unit((7.0,)) == "mT"
@@ -332,29 +348,29 @@ def test_a_strength_is_needed_only_by_rates_that_depend_on_it():
 
 
 def test_the_packages_of_a_spec_are_those_that_provide_its_kinds(monkeypatch):
-    assert packages(made()) == {}
+    assert find_packages(made()) == {}
     kind = CONTROLLERS.kind
 
     def foreign(name):
         return Kind(name, "x:Y", "tetractl-foreign", "1.2") if name == "mpc" else kind(name)
 
     monkeypatch.setattr(CONTROLLERS, "kind", foreign)
-    assert packages(made()) == {"tetractl-foreign": "1.2"}
-    assert packages(made(controller={"type": "pso-mpc"})) == {}
+    assert find_packages(made()) == {"tetractl-foreign": "1.2"}
+    assert find_packages(made(controller={"type": "pso-mpc"})) == {}
 
 
 @pytest.mark.usefixtures("marks")
 def test_the_package_of_the_rule_that_finds_robots_is_named(monkeypatch):
     experiment = parse_contents(with_marks(), "s").experiment
     monkeypatch.setattr(TRIAL_ROBOTS, "kind", lambda name: Kind(name, "x:Y", f"of-{name}", "3"))
-    assert packages(experiment) == {"of-marks": "3"}
-    assert packages(made()) == {}
+    assert find_packages(experiment) == {"of-marks": "3"}
+    assert find_packages(made()) == {}
 
 
 def test_only_a_controller_of_given_directions_gives_them():
-    assert not made().directions_given
+    assert not made().gives_directions
     given_ones = {"type": "sequence", "directions": [0.0, 1.0]}
-    assert made(controller=given_ones).directions_given
+    assert made(controller=given_ones).gives_directions
 
 
 def test_a_spec_is_shown_by_its_name_plant_and_trials():

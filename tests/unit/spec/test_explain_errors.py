@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field
 
-from tetractl.spec.base import Model, validated
+from tetractl.spec.base import Model, validate_document
 from tetractl.spec.explain_errors import ERRORS_MAX, describe_list, explain_in_words
 from tetractl.spec.load import parse_contents, parse_spec
 from tetractl.spec.yaml.document import parse_document
@@ -55,7 +55,7 @@ GOOD = "needed: 1\n"
 
 def problems(text, model: Any = Outer):
     with pytest.raises(InvalidSpecError) as caught:
-        validated(model, parse_document(GOOD + text if model is Outer else text, "f"))
+        validate_document(model, parse_document(GOOD + text if model is Outer else text, "f"))
     return [str(problem).removeprefix("f:") for problem in caught.value.problems]
 
 
@@ -142,7 +142,7 @@ def test_all_mistakes_are_told_but_no_more_than_the_limit():
     assert len(problems("count: 0\nwide: 1\ninner: {depth: -1, label: a}\n")) == 4
     many = "".join(f"- {i}\n" for i in range(ERRORS_MAX + 5))
     with pytest.raises(InvalidSpecError) as caught:
-        validated(_Texts, parse_document(f"texts:\n{many}", "f"))
+        validate_document(_Texts, parse_document(f"texts:\n{many}", "f"))
     assert len(caught.value.problems) == ERRORS_MAX
 
 

@@ -11,7 +11,7 @@ from testkit.targets import spec_text
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import resolved_yaml, spec_hash
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.yaml.core_yaml import format_yaml
 from tetractl.spec.yaml.document import parse_document
 
 pytestmark = pytest.mark.slow
@@ -78,7 +78,7 @@ def mutated(draw):
 @pytest.mark.long
 @given(mutated())
 def test_any_change_to_a_good_spec(data):
-    spec_text(dump(data))
+    spec_text(format_yaml(data))
 
 
 NUMBERS = st.floats(-1e6, 1e6)

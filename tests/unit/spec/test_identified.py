@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from tetractl.spec.identified import Identified, IdentifiedRobot, merge, read_identified
+from tetractl.spec.identified import Identified, IdentifiedRobot, merge_identified, read_identified
 from tetractl.spec.load import load_spec
 from tetractl.spec.yaml.document import parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
@@ -37,7 +37,7 @@ def written(folder, **changes):
 
 def merged(text=SPEC, estimates=True, **changes):
     document = parse_document(text, "s.yaml")
-    merge(document, Identified.model_validate(FOUND | changes), "found.yaml", estimates)
+    merge_identified(document, Identified.model_validate(FOUND | changes), "found.yaml", estimates)
     return document
 
 

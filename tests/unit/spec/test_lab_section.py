@@ -7,10 +7,10 @@ from testkit.paths import ROOT
 
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.plant.sim_section import SimSection
-from tetractl.spec.lab_section import RobotPart, entry, mismatches, too_fast, unknown_radii
+from tetractl.spec.lab_section import RobotPart, entry, find_unknown_radii, mismatches, too_fast
 from tetractl.spec.load import load_spec, parse_contents, parse_spec
 from tetractl.spec.loaded_spec import resolved_yaml
-from tetractl.spec.plants import calibrated, lab_of, on_plant
+from tetractl.spec.plants import apply_calibration, get_lab, select_plant
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 EXPERIMENTS = ROOT / "experiments"
@@ -29,12 +29,12 @@ actuator:
 
 def test_the_plant_is_chosen_by_kind():
     loaded = load_spec(SPEC)
-    assert isinstance(on_plant(loaded, None).experiment.plant, SimSection)
-    assert isinstance(on_plant(loaded, "sim").experiment.plant, SimSection)
-    lab = on_plant(loaded, "lab").experiment
+    assert isinstance(select_plant(loaded, None).experiment.plant, SimSection)
+    assert isinstance(select_plant(loaded, "sim").experiment.plant, SimSection)
+    lab = select_plant(loaded, "lab").experiment
     assert lab.plant == loaded.experiment.lab
     assert lab.lab is None
-    back = on_plant(parse_spec(resolved_yaml(lab), "again"), "sim").experiment
+    back = select_plant(parse_spec(resolved_yaml(lab), "again"), "sim").experiment
     assert back.plant == SimSection()
     assert back.lab == lab.plant
 
@@ -43,9 +43,9 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
     (tmp_path / "m.yaml").write_text(MEASURED)
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
-    plain = lab_of(loaded.experiment, "spec")
-    run = on_plant(loaded, "lab")
-    lab = lab_of(run.experiment, "spec")
+    plain = get_lab(loaded.experiment, "spec")
+    run = select_plant(loaded, "lab")
+    lab = get_lab(run.experiment, "spec")
     green, blue, _ = lab.actuator.robots
     assert green == plain.actuator.robots[0]
     assert blue.radius_mm == 41.5
@@ -74,9 +74,9 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     ],
 )
 def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
-    experiment = on_plant(load_spec(SPEC), "lab").experiment
+    experiment = select_plant(load_spec(SPEC), "lab").experiment
     with pytest.raises(SpecError, match=message):
-        calibrated(experiment, MEASURED.replace(before, after), "m")
+        apply_calibration(experiment, MEASURED.replace(before, after), "m")
 
 
 LABS = """
@@ -133,9 +133,9 @@ def test_a_spec_without_a_folder_names_its_calibration_by_the_whole_path(tmp_pat
         SpecError,
         match=r"^lab.calibration: m.yaml: this path is relative to the folder of the spec",
     ):
-        on_plant(relative, "lab")
+        select_plant(relative, "lab")
     whole = parse_spec(SPEC.read_text(), "spec.yaml", [f"lab.calibration={file}"])
-    assert on_plant(whole, "lab").attached == (("m.yaml", MEASURED),)
+    assert select_plant(whole, "lab").attached == (("m.yaml", MEASURED),)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_spec_without_a_folder_names_its_calibration_by_the_whole_path(tmp_pat
 def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
     """Regression: a spec could name any readable file, and its lines were printed."""
     with pytest.raises(SpecError) as error:
-        calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
+        apply_calibration(select_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
     assert error.value.message == "/etc/secret: this is not a calibration file"
 
 
@@ -161,7 +161,7 @@ def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
 )
 def test_a_protocol_version_needs_no_quotes_where_it_is_a_number(written, read):
     settings = ["lab.camera.transport=unicast", f"lab.camera.version={written}"]
-    camera = lab_of(load_spec(SPEC, settings).experiment, "spec").camera
+    camera = get_lab(load_spec(SPEC, settings).experiment, "spec").camera
     assert camera.version == read
 
 
@@ -170,7 +170,7 @@ def test_a_calibration_that_never_ends_is_not_read(tmp_path):
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
     with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
-        on_plant(loaded, "lab")
+        select_plant(loaded, "lab")
 
 
 # the rules of the robots of a device
@@ -206,10 +206,10 @@ def test_no_robot_is_faster_than_its_wheels_are_driven(unit, speed_max_mm_s, is_
 
 
 def test_radii_are_needed_only_if_the_spec_has_none():
-    assert list(unknown_radii(setup_of(), [None, None])) == []
-    found = list(unknown_radii(setup_of(wheels=False), [40.0, None]))
+    assert list(find_unknown_radii(setup_of(), [None, None])) == []
+    found = list(find_unknown_radii(setup_of(wheels=False), [40.0, None]))
     assert [loc for loc, _ in found] == [("robots", 1, "radius_mm")]
-    assert list(unknown_radii(setup_of(wheels=False), [40.0, 41.0])) == []
+    assert list(find_unknown_radii(setup_of(wheels=False), [40.0, 41.0])) == []
 
 
 class Body(RobotPart):
@@ -246,7 +246,7 @@ def test_the_entry_of_a_robot_is_found_by_its_name():
 
 
 def in_lab(*settings):
-    return on_plant(load_spec(SPEC, settings), "lab").experiment
+    return select_plant(load_spec(SPEC, settings), "lab").experiment
 
 
 @pytest.mark.parametrize(

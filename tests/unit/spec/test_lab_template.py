@@ -39,7 +39,7 @@ def parts(tmp_path, monkeypatch):
         file = tmp_path / f"{name}.yaml"
         file.parent.mkdir(exist_ok=True)
         file.write_text(text)
-    monkeypatch.setattr(TEMPLATES, "usable", lambda: {"a package": tmp_path})
+    monkeypatch.setattr(TEMPLATES, "load_usable", lambda: {"a package": tmp_path})
 
 
 def parsed(text):
@@ -94,7 +94,7 @@ def test_an_unknown_part_is_refused_with_a_similar_one(robots, camera, message):
 
 
 def test_the_part_of_a_package_that_is_not_installed_names_the_package(monkeypatch):
-    monkeypatch.setattr(TEMPLATES, "usable", dict)
+    monkeypatch.setattr(TEMPLATES, "load_usable", dict)
     with pytest.raises(UsageError, match="toio needs tetractl-toio, which is not"):
         lab_template("toio", None)
 

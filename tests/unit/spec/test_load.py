@@ -13,12 +13,12 @@ from testkit.paths import ROOT, SPECS
 from testkit.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
-from tetractl.core.trial import OWN_FILES
+from tetractl.core.trial import RESERVED_FILE_NAMES
 from tetractl.log.format import channels
 from tetractl.spec.consistency import SpecFinding
-from tetractl.spec.identified import Identified, IdentifiedRobot, IdentifiedValue, merge
-from tetractl.spec.load import load_spec, parse_spec, parse_written
-from tetractl.spec.loaded_spec import attach, resolved_yaml, spec_hash
+from tetractl.spec.identified import Identified, IdentifiedRobot, IdentifiedValue, merge_identified
+from tetractl.spec.load import load_spec, parse_resolved, parse_spec
+from tetractl.spec.loaded_spec import attach_file, resolved_yaml, spec_hash
 from tetractl.spec.yaml.document import parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
 from tetractl.spec.yaml.settings import FieldValue
@@ -348,16 +348,16 @@ def test_the_hash_does_not_follow_how_a_spec_is_written():
 
 
 def test_files_of_several_folders_are_attached_by_their_names():
-    robots = attach((), Path("a/robots.yaml"), "text of robots")
-    two_files = attach(robots, Path("b/cameras.yaml"), "text of cameras")
+    robots = attach_file((), Path("a/robots.yaml"), "text of robots")
+    two_files = attach_file(robots, Path("b/cameras.yaml"), "text of cameras")
     assert dict(two_files) == {"robots.yaml": "text of robots", "cameras.yaml": "text of cameras"}
 
 
-@pytest.mark.parametrize("name", ["robots.yaml", *sorted(OWN_FILES)])
+@pytest.mark.parametrize("name", ["robots.yaml", *sorted(RESERVED_FILE_NAMES)])
 def test_a_file_with_the_name_of_one_there_is_cannot_be_attached(name):
-    robots = attach((), Path("a/robots.yaml"), "text of robots")
+    robots = attach_file((), Path("a/robots.yaml"), "text of robots")
     with pytest.raises(SpecError, match=f"b/{name}: every log already has a file named {name}"):
-        attach(robots, Path("b") / name, "another text")
+        attach_file(robots, Path("b") / name, "another text")
 
 
 def with_free_targets(starts, targets):
@@ -390,7 +390,7 @@ def test_free_targets_are_dealt_out_by_the_least_squares_of_the_paths():
 
 def test_the_hash_of_a_log_is_that_of_its_experiment():
     good = parse_spec(GOOD, "s.yaml").experiment
-    assert parse_written(resolved_yaml(good), "s.yaml").hash == spec_hash(good)
+    assert parse_resolved(resolved_yaml(good), "s.yaml").hash == spec_hash(good)
 
 
 def test_the_hash_of_an_earlier_log_is_that_of_the_keys_in_its_resolved_spec():
@@ -399,7 +399,7 @@ def test_the_hash_of_an_earlier_log_is_that_of_the_keys_in_its_resolved_spec():
     earlier = yaml.safe_load(resolved_yaml(good))
     del earlier["plant"]["heading_noise"]
     del earlier["robots"][0]["via"]
-    loaded = parse_written(yaml.safe_dump(earlier), "s.yaml")
+    loaded = parse_resolved(yaml.safe_dump(earlier), "s.yaml")
     assert loaded.experiment == good
     assert loaded.hash != spec_hash(good)
     fields = json.dumps(earlier, sort_keys=True, separators=(",", ":"))
@@ -466,7 +466,7 @@ def test_the_hash_follows_the_experiment(setting):
 
 def test_the_files_that_every_log_has_are_those_of_its_channels():
     of_channels = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT, channels.LAYOUT}
-    assert of_channels == OWN_FILES
+    assert of_channels == RESERVED_FILE_NAMES
 
 
 def test_targets_that_were_dealt_out_are_given():
@@ -495,6 +495,6 @@ def test_an_identified_value_goes_to_its_robot_also_behind_an_entry_that_is_none
     identified = Identified(
         identified="", origin="lab", unit="mm", dead_time=dead_time, robots=robots
     )
-    merge(document, identified, "found.yaml", estimates=True)
+    merge_identified(document, identified, "found.yaml", identifies_robots=True)
     assert document.data["robots"][1] == {"name": "red", "a": 4.0, "speed": 4.0}
     assert document.all_problems == []  # the a that could not be read is replaced

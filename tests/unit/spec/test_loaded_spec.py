@@ -6,13 +6,13 @@ import pytest
 
 from tetractl.core.errors import SpecError
 from tetractl.core.trial import PlantInfo
-from tetractl.spec.load import parse_contents, parse_written
+from tetractl.spec.load import parse_contents, parse_resolved
 from tetractl.spec.loaded_spec import (
     arm_hash,
-    attach,
+    attach_file,
+    create_start,
     resolved_yaml,
     spec_hash,
-    start_of,
     with_controller,
     with_seed,
 )
@@ -103,7 +103,7 @@ def test_a_key_that_tetractl_no_longer_knows_counts():
 
 def test_a_resolved_spec_is_the_same_experiment_with_every_field():
     spec = loaded()
-    again = parse_written(spec.resolved, "log")
+    again = parse_resolved(spec.resolved, "log")
     assert again.experiment == spec.experiment
     assert again.hash == spec.hash
     assert "heading_noise" in spec.resolved
@@ -115,7 +115,7 @@ def test_another_seed_changes_nothing_else():
     assert (spec.experiment.trials.seed, spec.experiment.trials.count) == (11, 7)
     assert spec.experiment.robots == loaded().experiment.robots
     assert spec.name == "s.yaml"
-    assert parse_written(spec.text, "text").experiment == spec.experiment
+    assert parse_resolved(spec.text, "text").experiment == spec.experiment
     with pytest.raises(SpecError, match=r"^seed: "):
         with_seed(loaded(), -1)
 
@@ -125,13 +125,13 @@ def test_another_controller_changes_nothing_else():
     spec = with_controller(loaded(), other)
     assert spec.experiment.controller is other
     assert spec.experiment.setup.period_s == other.period
-    assert parse_written(spec.text, "text").experiment == spec.experiment
+    assert parse_resolved(spec.text, "text").experiment == spec.experiment
 
 
 def test_a_trial_starts_with_what_its_spec_says():
     spec = loaded()
     plant = PlantInfo("sim", True, 120.0, {})
-    start = start_of(spec, 3, plant, 1_700_000_000)
+    start = create_start(spec, 3, plant, 1_700_000_000)
     assert (start.seed, start.trial, start.start_unix_ns) == (5, 3, 1_700_000_000)
     assert (start.spec_name, start.spec_hash, start.spec_text) == ("s.yaml", spec.hash, spec.text)
     assert start.resolved == spec.resolved
@@ -140,5 +140,5 @@ def test_a_trial_starts_with_what_its_spec_says():
 
 
 def test_attached_files_keep_their_order(tmp_path):
-    two = attach(attach((), tmp_path / "b.yaml", "B"), tmp_path / "a.yaml", "A")
+    two = attach_file(attach_file((), tmp_path / "b.yaml", "B"), tmp_path / "a.yaml", "A")
     assert two == (("b.yaml", "B"), ("a.yaml", "A"))

@@ -5,7 +5,14 @@ from testkit.paths import ROOT
 
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.spec.load import load_spec, parse_contents
-from tetractl.spec.plants import calibrated, lab_as, lab_of, of_lab, on_plant, settings_on
+from tetractl.spec.plants import (
+    adapt_settings,
+    apply_calibration,
+    convert_lab,
+    get_lab,
+    is_lab_kind,
+    select_plant,
+)
 from tetractl.spec.yaml.document import parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
 
@@ -23,54 +30,54 @@ SIM = parse_contents(
 
 @pytest.mark.parametrize("kind", [None, "sim"])
 def test_a_simulation_stays_as_it_is(kind):
-    assert on_plant(SIM, kind) is SIM
-    assert on_plant(LAB, kind) is LAB
+    assert select_plant(SIM, kind) is SIM
+    assert select_plant(LAB, kind) is LAB
 
 
 def test_a_spec_without_a_lab_cannot_run_in_one():
     with pytest.raises(SpecError, match=r"s\.yaml: this spec has no lab") as caught:
-        on_plant(SIM, "lab")
+        select_plant(SIM, "lab")
     assert "add a section 'lab:'" in caught.value.hint
     with pytest.raises(SpecError, match="this spec has no lab"):
-        lab_of(SIM.experiment, "s.yaml")
+        get_lab(SIM.experiment, "s.yaml")
 
 
 def test_in_a_lab_the_plant_is_the_lab_and_nothing_else_changes():
-    in_lab = on_plant(LAB, "lab")
+    in_lab = select_plant(LAB, "lab")
     assert in_lab.experiment.plant == LAB.experiment.lab
     assert in_lab.experiment.lab is None
     assert in_lab.experiment.robots == LAB.experiment.robots
     assert in_lab.attached == ()
-    assert on_plant(in_lab, "lab").experiment == in_lab.experiment
-    assert on_plant(in_lab, None).experiment == in_lab.experiment
+    assert select_plant(in_lab, "lab").experiment == in_lab.experiment
+    assert select_plant(in_lab, None).experiment == in_lab.experiment
 
 
 def test_a_lab_that_is_simulated_is_kept_for_another_run():
-    in_lab = on_plant(LAB, "lab")
-    simulated = on_plant(in_lab, "sim").experiment
+    in_lab = select_plant(LAB, "lab")
+    simulated = select_plant(in_lab, "sim").experiment
     assert simulated.plant.type == "sim"
     assert simulated.lab == in_lab.experiment.plant
-    assert lab_of(simulated, "s") == lab_of(in_lab.experiment, "s") == LAB.experiment.lab
+    assert get_lab(simulated, "s") == get_lab(in_lab.experiment, "s") == LAB.experiment.lab
 
 
 def test_an_unknown_plant_lists_those_that_are_known():
     with pytest.raises(UsageError, match="--plant moon: there is no such plant") as caught:
-        on_plant(LAB, "moon")
+        select_plant(LAB, "moon")
     assert caught.value.hint.startswith("the known plants are sim, lab")
 
 
 def test_only_some_plants_are_labs():
-    assert [of_lab(kind) for kind in ("sim", "lab")] == [False, True]
+    assert [is_lab_kind(kind) for kind in ("sim", "lab")] == [False, True]
 
 
 def test_a_lab_is_the_same_lab_unless_it_becomes_another_kind():
     lab = LAB.experiment.lab
-    assert lab_as(None, lab) is lab
-    assert lab_as("lab", lab) is lab
+    assert convert_lab(None, lab) is lab
+    assert convert_lab("lab", lab) is lab
 
 
 def moved(text, *sets, kind="lab"):
-    return settings_on(parse_document(text, "s"), sets, kind)
+    return adapt_settings(parse_document(text, "s"), sets, kind)
 
 
 WITH_LAB = "lab: {}\nplant: {}"
@@ -100,12 +107,12 @@ def test_other_settings_stay(text, sets, kind):
 
 # calibrations
 
-IN_LAB = on_plant(LAB, "lab").experiment
+IN_LAB = select_plant(LAB, "lab").experiment
 NAMES = [robot.name for robot in IN_LAB.robots]
 
 
 def measured(text):
-    return calibrated(IN_LAB, f"measured: now\n{text}", "m.yaml")
+    return apply_calibration(IN_LAB, f"measured: now\n{text}", "m.yaml")
 
 
 def test_a_calibration_without_values_changes_nothing():
@@ -159,9 +166,9 @@ def test_a_calibration_is_read_only_if_it_is_wanted(tmp_path):
     path.write_text(LAB.text)
     (tmp_path / "m.yaml").write_text("measured: now\ncamera: {command_port: 1600}\n")
     loaded = load_spec(path, ["lab.calibration=m.yaml"])
-    run = on_plant(loaded, "lab")
+    run = select_plant(loaded, "lab")
     assert run.experiment.plant.camera.command_port == 1600
     assert [name for name, _ in run.attached] == ["m.yaml"]
-    without = on_plant(loaded, "lab", with_calibration=False)
+    without = select_plant(loaded, "lab", with_calibration=False)
     assert without.experiment.plant.camera == LAB.experiment.lab.camera
     assert without.attached == ()

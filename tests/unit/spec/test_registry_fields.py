@@ -6,9 +6,9 @@ import pytest
 from pydantic import Field, ValidationError
 
 from tetractl.core.registry import Registry
-from tetractl.spec.base import STRICT, Model
+from tetractl.spec.base import STRICT_CONTEXT, Model
 from tetractl.spec.registry_fields import KindName, KindSection, OrMapping
-from tetractl.spec.schema import dereferenced
+from tetractl.spec.schema import resolve_reference
 
 
 class Base(Model):
@@ -115,7 +115,9 @@ def test_a_wrong_field_of_a_kind_is_an_error_of_that_field():
     assert error(hue={"depth": 1, "size": 2})["type"] == "extra_forbidden"
 
 
-@pytest.mark.parametrize(("context", "is_strict"), [(STRICT, True), (None, False), ({}, False)])
+@pytest.mark.parametrize(
+    ("context", "is_strict"), [(STRICT_CONTEXT, True), (None, False), ({}, False)]
+)
 def test_a_section_is_as_strict_as_what_holds_it(context, is_strict):
     fields = {"hue": {"depth": "2"}, "rate": {"depth": "3"}}
     if is_strict:
@@ -144,21 +146,21 @@ def test_the_schema_lists_the_kinds_that_can_be_used():
     schema = Holder.model_json_schema()
     hue = schema["properties"]["hue"]
     assert hue["default"] == {"type": "red"}
-    red, blue = (dereferenced(option, schema) for option in hue["oneOf"])
+    red, blue = (resolve_reference(option, schema) for option in hue["oneOf"])
     assert "type" not in red.get("required", [])  # a mapping without `type` is red
     assert blue["required"] == ["type", "size"]
     other = schema["properties"]["other"]["anyOf"][0]
     assert "default" not in other
-    red, blue = (dereferenced(option, schema) for option in other["oneOf"])
+    red, blue = (resolve_reference(option, schema) for option in other["oneOf"])
     assert red["required"] == ["type"]
     assert blue["required"] == ["type", "size"]
     assert schema["properties"]["name"]["enum"] == ["red", "blue", "alien"]
     number, mapping = schema["properties"]["rate"]["anyOf"]
     assert number["type"] == "number"
-    assert "depth" in dereferenced(mapping, schema)["properties"]
+    assert "depth" in resolve_reference(mapping, schema)["properties"]
 
 
 def test_a_kind_that_cannot_be_used_is_left_out_of_the_schema(monkeypatch):
-    monkeypatch.setattr(KINDS, "usable", lambda: {"blue": Blue, "alien": Alien})
+    monkeypatch.setattr(KINDS, "load_usable", lambda: {"blue": Blue, "alien": Alien})
     hue = Holder.model_json_schema()["properties"]["hue"]
     assert len(hue["oneOf"]) == 1

@@ -4,13 +4,13 @@ import pytest
 
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.schema import (
-    alternatives,
-    child,
-    dereferenced,
-    describe,
-    homes,
+    find_field_paths,
+    find_schema,
+    get_child,
+    get_type_name,
+    list_alternatives,
+    resolve_reference,
     schema_of,
-    tag,
 )
 
 ROOT = {
@@ -49,7 +49,7 @@ ROOT = {
 
 
 def about(*loc, data=None):
-    return describe(loc, data, ROOT)
+    return find_schema(loc, data, ROOT)
 
 
 def test_a_field_is_described_by_its_entry():
@@ -103,27 +103,35 @@ def test_the_form_of_the_data_chooses_between_a_mapping_and_a_list():
     ],
 )  # fmt: skip
 def test_the_value_at_a_key_or_index(data, step, value):
-    assert child(data, step) == value
+    assert get_child(data, step) == value
 
 
 def test_alternatives_are_those_without_null():
-    assert len(alternatives(ROOT["properties"]["maybe"], ROOT)) == 1
-    assert [tag(one) for one in alternatives(ROOT["properties"]["hue"], ROOT)] == ["red", "blue"]
-    assert alternatives(ROOT["properties"]["size"], ROOT) == []
-    assert tag({"type": "number"}) is None
+    assert len(list_alternatives(ROOT["properties"]["maybe"], ROOT)) == 1
+    assert [get_type_name(one) for one in list_alternatives(ROOT["properties"]["hue"], ROOT)] == [
+        "red",
+        "blue",
+    ]
+    assert list_alternatives(ROOT["properties"]["size"], ROOT) == []
+    assert get_type_name({"type": "number"}) is None
 
 
 def test_a_reference_is_replaced_and_what_stands_beside_it_counts_more():
     node = {"$ref": "#/$defs/Red", "type": "mine"}
-    assert dereferenced(node, ROOT)["type"] == "mine"
-    assert "properties" in dereferenced(node, ROOT)
-    assert dereferenced({"type": "x"}, ROOT) == {"type": "x"}
+    assert resolve_reference(node, ROOT)["type"] == "mine"
+    assert "properties" in resolve_reference(node, ROOT)
+    assert resolve_reference({"type": "x"}, ROOT) == {"type": "x"}
 
 
 def test_every_place_of_a_field_is_found_once():
-    assert list(homes("depth", ROOT)) == ["many.0.depth", "maybe.depth", "hue.depth", "any.depth"]
-    assert list(homes("size", ROOT)) == ["size", "hue.size", "any.size"]
-    assert list(homes("nothing", ROOT)) == []
+    assert list(find_field_paths("depth", ROOT)) == [
+        "many.0.depth",
+        "maybe.depth",
+        "hue.depth",
+        "any.depth",
+    ]
+    assert list(find_field_paths("size", ROOT)) == ["size", "hue.size", "any.size"]
+    assert list(find_field_paths("nothing", ROOT)) == []
 
 
 def test_the_schema_of_a_spec_has_its_parts():
@@ -131,8 +139,8 @@ def test_the_schema_of_a_spec_has_its_parts():
     assert schema is schema_of(Experiment)
     assert "\n" not in schema["properties"]["robots"]["description"]
     data = {"robots": [{"a": 3}], "controller": {"type": "mpc"}}
-    speed = describe(("robots", 0, "speed"), data, schema)
+    speed = find_schema(("robots", 0, "speed"), data, schema)
     assert speed["description"].startswith("Speed v [length unit/s]")
-    period = describe(("controller", "period"), data, schema)
+    period = find_schema(("controller", "period"), data, schema)
     assert period["minimum"] == 0.001
-    assert "controller.optimizer.particles" in list(homes("particles", schema))
+    assert "controller.optimizer.particles" in list(find_field_paths("particles", schema))

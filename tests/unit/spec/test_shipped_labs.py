@@ -2,13 +2,13 @@
 
 import pytest
 
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl.spec.lab_template import lab_template
 from tetractl.spec.load import parse_spec
 from tetractl.spec.yaml.document import read_document
 from tetractl.spec.yaml.spec_files import read_text
 
-LABS = {name: file for name, file in examples().items() if "lab" in read_document(file).data}
+LABS = {name: file for name, file in find_examples().items() if "lab" in read_document(file).data}
 WITHOUT_TEMPLATE = "field"
 """The actuator without a template: its values depend on the coils."""
 

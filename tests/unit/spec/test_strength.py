@@ -2,7 +2,7 @@
 
 import pytest
 
-from tetractl.spec.identified import Identified, IdentifiedRobot, merge
+from tetractl.spec.identified import Identified, IdentifiedRobot, merge_identified
 from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import resolved_yaml
 from tetractl.spec.yaml.document import parse_document
@@ -83,7 +83,7 @@ def identified(strength):
 
 def test_an_identified_rate_replaces_alpha_by_that_at_the_strength_of_its_logs():
     document = parse_document(SPEC, "x.yaml")
-    merge(document, identified(8.0), "found.yaml", estimates=True)
+    merge_identified(document, identified(8.0), "found.yaml", identifies_robots=True)
     rates = [robot["a"] for robot in document.data["robots"]]
     assert rates == [{"per_mT": 4.0 / 8.0}, 4.0]
 
@@ -103,6 +103,6 @@ def test_a_spec_without_a_strength_is_dumped_as_ever():
 
 def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
     document = parse_document(SPEC, "x.yaml")
-    merge(document, identified(None), "found.yaml", estimates=True)
+    merge_identified(document, identified(None), "found.yaml", identifies_robots=True)
     (problem,) = document.problems
     assert "the logs from which this value comes do not state a strength" in str(problem)

@@ -7,15 +7,21 @@ from pathlib import Path
 import pytest
 
 from tetractl.tools import cache
-from tetractl.tools.cache import FOLDER, cache_folder, claim, exposed, read_own
+from tetractl.tools.cache import (
+    FOLDER_VARIABLE,
+    cache_folder,
+    claim_folder,
+    describe_exposure,
+    read_checked_file,
+)
 
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch):
     """Each test finds an empty folder, and the variable as it was afterwards."""
-    monkeypatch.setenv(FOLDER, "")
+    monkeypatch.setenv(FOLDER_VARIABLE, "")
     cache_folder.cache_clear()
-    cache.say_once.cache_clear()
+    cache.print_note_once.cache_clear()
     yield
     cache_folder.cache_clear()
 
@@ -42,7 +48,7 @@ def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, ca
     assert not folder.is_relative_to(base)
     assert mode(folder) == 0o700
     assert list(folder.iterdir()) == []
-    assert os.environ[FOLDER] == str(folder)  # for worker processes
+    assert os.environ[FOLDER_VARIABLE] == str(folder)  # for worker processes
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "others can write to" in said
@@ -54,10 +60,10 @@ def test_a_folder_of_another_user_is_not_used(tmp_path):
     folder = tmp_path / "tetractl"
     folder.mkdir(mode=0o700)
     os.chown(folder, 12345, 12345)
-    assert claim(folder) == f"{folder} belongs to another user"
+    assert claim_folder(folder) == f"{folder} belongs to another user"
     os.chown(folder, 0, 0)
     os.chown(tmp_path, 12345, 12345)
-    assert exposed(folder) == f"{tmp_path} belongs to another user"
+    assert describe_exposure(folder) == f"{tmp_path} belongs to another user"
 
 
 def test_a_link_into_a_shared_folder_is_not_used(tmp_path):
@@ -65,12 +71,12 @@ def test_a_link_into_a_shared_folder_is_not_used(tmp_path):
     (shared / "mine").mkdir(parents=True)
     shared.chmod(0o777)
     (tmp_path / "tetractl").symlink_to(shared / "mine")
-    assert claim(tmp_path / "tetractl") == f"others can write to {shared}"
+    assert claim_folder(tmp_path / "tetractl") == f"others can write to {shared}"
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):
     (tmp_path / "file").write_text("")
-    assert "Not a directory" in str(claim(tmp_path / "file" / "tetractl"))
+    assert "Not a directory" in str(claim_folder(tmp_path / "file" / "tetractl"))
 
 
 def test_a_file_to_which_others_can_write_is_not_read(tmp_path):
@@ -78,9 +84,9 @@ def test_a_file_to_which_others_can_write_is_not_read(tmp_path):
     file.write_bytes(b"code")
     file.chmod(0o646)
     with pytest.raises(PermissionError, match="other users can write"):
-        read_own(file)
+        read_checked_file(file)
     file.chmod(0o600)
-    assert read_own(file) == b"code"
+    assert read_checked_file(file) == b"code"
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="gives a file to another user")
@@ -90,7 +96,7 @@ def test_a_file_of_another_user_is_not_read(tmp_path):
     file.write_bytes(b"code")
     os.chown(file, 65534, -1)
     with pytest.raises(PermissionError, match="belongs to another user"):
-        read_own(file)
+        read_checked_file(file)
 
 
 def test_without_a_home_there_is_a_folder(monkeypatch, capsys):

@@ -10,15 +10,20 @@ from multiprocessing import forkserver
 import pytest
 
 from tetractl.tools.children import (
-    SAFE_PATH,
-    SAID_BYTES,
+    OUTPUT_BYTES_MAX,
+    SAFE_PATH_VARIABLE,
     SHOWN_LINE_MAX,
     Child,
-    python,
+    build_python_command,
     run_tool,
-    shown_lines,
+    split_printable_lines,
 )
-from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context, isolated
+from tetractl.tools.worker_pool import (
+    WorkerPool,
+    create_clean_context,
+    create_fork_context,
+    exclude_current_folder,
+)
 
 MODULE = "raise SystemExit('the module of the present folder was run')\n"
 
@@ -34,7 +39,7 @@ def test_a_module_in_the_present_folder_is_not_imported(tmp_path, monkeypatch):
     for name in ("json", "base64", "ctypes"):
         (tmp_path / f"{name}.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
-    with Child(python("json.tool", "--help")) as child:
+    with Child(build_python_command("json.tool", "--help")) as child:
         assert "usage" in child.stdout.read().decode()
         assert child.wait() == 0
 
@@ -50,7 +55,7 @@ def test_what_a_child_says_is_bounded():
     assert code == 0
     assert said[-1] == "end"
     assert all(len(line) <= SHOWN_LINE_MAX for line in said)
-    assert sum(map(len, said)) <= SAID_BYTES
+    assert sum(map(len, said)) <= OUTPUT_BYTES_MAX
 
 
 def test_a_tool_gives_its_code_its_print_and_its_words():
@@ -61,7 +66,7 @@ def test_a_tool_gives_its_code_its_print_and_its_words():
 
 def test_a_tool_that_does_not_end_or_does_not_exist_is_an_error_of_the_system():
     with pytest.raises(TimeoutError, match="does not end"):
-        run_tool([sys.executable, "-c", "import signal; signal.pause()"], patience_s=0.1)
+        run_tool([sys.executable, "-c", "import signal; signal.pause()"], timeout_s=0.1)
     with pytest.raises(FileNotFoundError) as missing:
         run_tool(["no-such-tool-of-tetractl"])
     assert missing.value.errno == errno.ENOENT
@@ -76,7 +81,7 @@ def print_hostile(number):
 def test_what_workers_print_is_told_by_lines_with_who_printed():
     """Regression: a plug-in's `print` in a worker reached the terminal with its escapes."""
     lines = []
-    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
+    with WorkerPool(create_fork_context(), 1, "a worker", lines.append) as pool:
         assert pool.submit(print_hostile, 7).result() == 7
     assert lines == [r"a worker: \x1b[2J 7", "a worker: to the descriptor"]
 
@@ -90,7 +95,7 @@ def test_a_killed_child_tells_the_signal():
 
 def test_workers_start_again_after_their_server_was_killed():
     """Regression: the error of the connection to it ended the command as "interrupted"."""
-    context = fresh_context()
+    context = create_clean_context()
     with WorkerPool(context, 1, "a worker", print) as pool:
         assert pool.submit(abs, -1).result() == 1
     os.kill(forkserver._forkserver._forkserver_pid, signal.SIGKILL)
@@ -102,17 +107,17 @@ def test_workers_start_again_after_their_server_was_killed():
 
 
 def test_bytes_that_are_no_text_are_shown_as_such():
-    assert shown_lines(b"\xff\x00\n \n") == ["\ufffd\\x00"]
+    assert split_printable_lines(b"\xff\x00\n \n") == ["\ufffd\\x00"]
 
 
 @pytest.mark.parametrize("before", [None, "", "1"])
 def test_the_variable_of_isolated_is_as_before_at_its_end(before, monkeypatch):
-    monkeypatch.delenv(SAFE_PATH, raising=False)
+    monkeypatch.delenv(SAFE_PATH_VARIABLE, raising=False)
     if before is not None:
-        monkeypatch.setenv(SAFE_PATH, before)
-    with isolated():
-        assert os.environ[SAFE_PATH] == "1"
-    assert os.environ.get(SAFE_PATH) == before
+        monkeypatch.setenv(SAFE_PATH_VARIABLE, before)
+    with exclude_current_folder():
+        assert os.environ[SAFE_PATH_VARIABLE] == "1"
+    assert os.environ.get(SAFE_PATH_VARIABLE) == before
 
 
 def print_much():
@@ -122,7 +127,7 @@ def print_much():
 
 def test_what_workers_print_is_bounded():
     lines = []
-    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
+    with WorkerPool(create_fork_context(), 1, "a worker", lines.append) as pool:
         pool.submit(print_much).result()
     assert lines[-2:] == ["a worker: 49", "a worker: further output of this process is not shown"]
     assert len(lines) == 51

@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.tools.files import make_folder, save_whole
+from tetractl.tools.files import make_folder, write_atomically
 
 
 @pytest.fixture
@@ -19,28 +19,28 @@ def files_in(folder):
 
 def test_a_file_takes_the_place_of_the_earlier_one_and_leaves_nothing_else(file):
     for data in (b"first", b"second"):
-        save_whole(file, data)
+        write_atomically(file, data)
         assert file.read_bytes() == data
         assert files_in(file.parent) == [file.name]
 
 
 @pytest.mark.parametrize("step", ["write_bytes", "replace"])
 def test_an_earlier_file_survives_a_full_disk_and_no_part_is_left(monkeypatch, file, step):
-    save_whole(file, b"earlier")
+    write_atomically(file, b"earlier")
 
     def fail(path, *args):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(type(file), step, fail)
     with pytest.raises(LogError, match=r"report\.html: cannot be written: No space left"):
-        save_whole(file, b"later")
+        write_atomically(file, b"later")
     assert file.read_bytes() == b"earlier"
     assert files_in(file.parent) == [file.name]
 
 
 def test_a_missing_folder_is_named_and_not_created(tmp_path):
     with pytest.raises(UsageError, match=r"the folder .*nowhere does not exist"):
-        save_whole(tmp_path / "nowhere" / "a.csv", b"")
+        write_atomically(tmp_path / "nowhere" / "a.csv", b"")
     assert files_in(tmp_path) == []
 
 

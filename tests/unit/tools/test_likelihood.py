@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.tools.likelihood import STEP_MOST, UNLIKELY, derivatives, newton_step
+from tetractl.tools.likelihood import LOG_LIKELIHOOD_MIN, STEP_MAX, derivatives, newton_step
 
 CURVATURE = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, -0.7], [0.5, -0.7, 2.0]])
 NO_PRIOR = 1e6
@@ -44,7 +44,7 @@ def test_a_step_begins_at_the_parameters():
 def test_a_step_is_limited():
     far = [[50.0, -50.0, 0.0]]
     found, _ = newton_step(parabola(far, np.eye(3)), np.zeros((1, 3)), NO_PRIOR)
-    assert found[0] == pytest.approx([STEP_MOST, -STEP_MOST, 0.0], abs=1e-6)
+    assert found[0] == pytest.approx([STEP_MAX, -STEP_MAX, 0.0], abs=1e-6)
 
 
 def test_a_step_never_leads_to_a_worse_place():
@@ -84,7 +84,7 @@ def test_variants_without_a_likelihood_are_not_chosen():
     found, std = newton_step(bounded, np.zeros((1, 2)), NO_PRIOR)
     assert 0 < found[0, 0] <= 0.5
     assert np.isfinite(std).all()
-    assert UNLIKELY < -1e9
+    assert LOG_LIKELIHOOD_MIN < -1e9
 
 
 def test_derivatives_of_a_parabola_are_its_slope_and_negative_curvature():

@@ -8,8 +8,8 @@ from tetractl.core.errors import AbortError, UsageError
 from tetractl.tools.plugin_fault import (
     CALLS_MAX,
     PluginTrialError,
-    naming_plugins,
-    plugins_named,
+    create_plugin_error,
+    name_plugins_in_errors,
 )
 
 PACKAGES = {"one": "1.0", "two": "2.1"}
@@ -18,7 +18,7 @@ FULL = OSError(errno.ENOSPC, "No space left")
 
 def raised(error, packages=PACKAGES):
     """What comes out of a block in which an error is raised."""
-    with pytest.raises(BaseException) as caught, plugins_named(packages):
+    with pytest.raises(BaseException) as caught, name_plugins_in_errors(packages):
         raise error
     return caught.value
 
@@ -70,12 +70,12 @@ def test_the_last_calls_are_kept():
     try:
         deep(50)
     except ValueError as error:
-        named = naming_plugins(error, PACKAGES)
+        named = create_plugin_error(error, PACKAGES)
     assert len(named.calls) == CALLS_MAX
     assert named.calls[-1].endswith('in deep: raise ValueError("x")')
     assert __file__ in named.calls[0]
 
 
 def test_nothing_happens_without_an_error():
-    with plugins_named(PACKAGES):
+    with name_plugins_in_errors(PACKAGES):
         pass

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from tetractl.tools.plugin_fault import naming_plugins
+from tetractl.tools.plugin_fault import create_plugin_error
 
 
 class UnreadStream(io.StringIO):
@@ -26,15 +26,15 @@ def exit_of_rich():
 
 def test_an_output_without_a_reader_blames_no_plugin(monkeypatch):
     """Regression: `track | true`: "plug-in command 'track' raised SystemExit: 1"."""
-    assert naming_plugins(exit_of_rich(), PACKAGES) is None
+    assert create_plugin_error(exit_of_rich(), PACKAGES) is None
     monkeypatch.setattr("sys.stdout", UnreadStream())
-    assert naming_plugins(BrokenPipeError(), PACKAGES) is None
+    assert create_plugin_error(BrokenPipeError(), PACKAGES) is None
 
 
 @pytest.mark.parametrize("error", [SystemExit(1), BrokenPipeError(), ValueError("x")])
 def test_other_errors_name_the_plugins(error):
     """A pipe of a device that breaks is one: stdout has a reader."""
-    assert naming_plugins(error, PACKAGES).message.endswith(
+    assert create_plugin_error(error, PACKAGES).message.endswith(
         "; the spec uses these plug-ins: plug-in 1.0"
     )
-    assert naming_plugins(error, {}) is None
+    assert create_plugin_error(error, {}) is None

@@ -15,7 +15,7 @@ from tetractl.tools.table.quantities import (
     find_column,
     find_factor,
     find_time,
-    read_truth,
+    read_boolean,
     refuse_degrees,
     split_header,
 )
@@ -83,14 +83,14 @@ FILE = Path("t.csv")
 @pytest.mark.parametrize("text", ["", "nan", "NaN", "NA", "n/a", "#N/A", "null", "None", "-"])
 def test_an_entry_without_a_number_is_unknown_or_refused(text):
     row = CsvRow(3, {"x": text})
-    assert np.isnan(NumberColumn("x").optional(FILE, row))
+    assert np.isnan(NumberColumn("x").read_optional(FILE, row))
     with pytest.raises(UsageError, match=r"t\.csv, line 3: x: this is not a number"):
         NumberColumn("x").number(FILE, row)
 
 
 def test_a_number_is_converted_by_the_factor_of_its_column():
     assert NumberColumn("x_mm").number(FILE, ROW) == 1.5
-    assert NumberColumn("x_mm", 1e-3).optional(FILE, ROW) == pytest.approx(0.0015)
+    assert NumberColumn("x_mm", 1e-3).read_optional(FILE, ROW) == pytest.approx(0.0015)
 
 
 @pytest.mark.parametrize(
@@ -158,13 +158,13 @@ def test_a_unit_in_any_spelling_has_its_factor(unit, metres):
      ("0", False), ("No", False)],
 )  # fmt: skip
 def test_truth_is_written_in_several_ways(text, value):
-    assert read_truth(FILE, CsvRow(1, {"valid": text}), "valid") is value
+    assert read_boolean(FILE, CsvRow(1, {"valid": text}), "valid") is value
 
 
 def test_a_table_without_the_column_is_true_and_another_word_is_refused():
-    assert read_truth(FILE, CsvRow(1, {}), "valid") is True
+    assert read_boolean(FILE, CsvRow(1, {}), "valid") is True
     with pytest.raises(UsageError, match=r"line 4: valid: maybe is neither true nor false"):
-        read_truth(FILE, CsvRow(4, {"valid": "maybe"}), "valid")
+        read_boolean(FILE, CsvRow(4, {"valid": "maybe"}), "valid")
 
 
 def test_times_that_fall_are_told_what_to_do():

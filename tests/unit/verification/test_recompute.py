@@ -9,7 +9,7 @@ import pytest
 from testkit.hand_clock import HandTimer
 from testkit.trials import DISTURBED, FRAMES, THREE_M3PI, cut_short, in_lab
 
-from tetractl.core.loggable import DRAWN_PRECISION
+from tetractl.core.loggable import DRAWING_PRECISION
 from tetractl.core.plan import Limits, Outcome, StopReason
 from tetractl.core.trial import Note
 from tetractl.log.read.limits import seconds_limit
@@ -283,11 +283,11 @@ def test_only_repeated_searches_have_to_give_the_same_bits():
 
 def test_a_path_may_be_rounded_in_the_other_direction_unless_bits_are_compared():
     path = WHOLE.steps[1].plan.path.copy()
-    path[3, 2, 1] *= 1 + 1.5 * DRAWN_PRECISION
+    path[3, 2, 1] *= 1 + 1.5 * DRAWING_PRECISION
     rounded = with_plan(1, path=path)
     assert differs_in(rounded, True) == (1, "path.3.2.1")
     assert differs_in(rounded, False) is None
-    path[3, 2, 1] *= 1 + 1.5 * DRAWN_PRECISION
+    path[3, 2, 1] *= 1 + 1.5 * DRAWING_PRECISION
     for search_again in (True, False):
         assert differs_in(with_plan(1, path=path), search_again) == (1, "path.3.2.1")
 

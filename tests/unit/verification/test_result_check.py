@@ -15,11 +15,11 @@ from tetractl.core.commands import Command, Steer
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import EMULATED_NAME
-from tetractl.core.trial import EMULATED_DEVICES, HALTS, PlantInfo
+from tetractl.core.trial import EMULATED_DEVICES_FACT, HALTS_FACT, PlantInfo
 from tetractl.log.provenance import TRIAL_CODE_KEY
 from tetractl.run.task import code_hash
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 from tetractl.verification.result_check import result_differences
 
 pytestmark = pytest.mark.slow
@@ -81,11 +81,11 @@ def lab(tmp_path):
         ({}, True),
         ({"camera": "NatNet 4.1"}, True),
         ({"camera": f"NatNet, {EMULATED_NAME}"}, False),
-        ({"camera": EMULATED_NAME, EMULATED_DEVICES: "camera"}, True),
+        ({"camera": EMULATED_NAME, EMULATED_DEVICES_FACT: "camera"}, True),
     ],
 )
 def test_a_device_that_calls_itself_emulated_has_to_be_named_as_such(lab, facts, is_named):
-    field = f"run.facts.{EMULATED_DEVICES}"
+    field = f"run.facts.{EMULATED_DEVICES_FACT}"
     assert (field not in differences_of(with_plant(lab, facts))) == is_named
 
 
@@ -136,7 +136,7 @@ def lab_across_a_wall(tmp_path):
     mocap[:, 1, 0] = np.linspace(1000.0, 1600.0, n)  # the wall: x 1200 to 1400, y 1100 to 1300
     mocap[:, 1, 1] = 1200.0
     log = replace(log, mocap=mocap, valid=np.ones((n, 3), bool))
-    return with_plant(log, {HALTS: "yes"})
+    return with_plant(log, {HALTS_FACT: "yes"})
 
 
 @pytest.mark.parametrize("stated", [(f, g, h) for f in (0, 1) for g in (0, 1) for h in (0, 1)])
@@ -192,7 +192,7 @@ def wheeled_lab(tmp_path_factory):
     """A log of a lab in which three robots on wheels drove for 3 s, written by this code."""
     trial = random_trials.trial(simulated=False, wheels={"radius": RADIUS})
     log = random_trials.write_and_read(trial, tmp_path_factory.mktemp("log") / "trial.mcap")
-    spec = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
+    spec = select_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
     left, right, poses = driven_by_wheels(np.random.default_rng(81733))
     n = len(poses)
     times_ns = np.arange(n) * (SECOND // RATE_HZ)
@@ -212,7 +212,7 @@ def wheeled_lab(tmp_path_factory):
         stop=None,
         facts=log.facts | {TRIAL_CODE_KEY: code_hash(spec)},
     )
-    return with_plant(log, {HALTS: "yes"}, spec)
+    return with_plant(log, {HALTS_FACT: "yes"}, spec)
 
 
 def turns_of(log, turn, turn_std, **fields):

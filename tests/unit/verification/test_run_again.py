@@ -11,7 +11,7 @@ from tetractl.log.format.channels import Entry
 from tetractl.log.provenance import TRIAL_CODE_KEY
 from tetractl.run.task import code_hash
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 from tetractl.verification.run_again import RecordCollector, why_not_again
 
 pytestmark = pytest.mark.slow
@@ -30,7 +30,7 @@ def with_plant(log, **fields):
 
 
 def with_spec_of_a_lab(log):
-    lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
+    lab = select_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
     return replace(log, experiment=lab.experiment)
 
 

@@ -25,7 +25,7 @@ from tetractl.control.estimation.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
 from tetractl.core.errors import ControlError
-from tetractl.core.losses import Losses, LossRule
+from tetractl.core.losses import LossRule, LossTracker
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Observation
@@ -55,7 +55,7 @@ class StateEstimator:
         loss: LossRule | None = None,
     ) -> None:
         self.problem = problem
-        self.losses = Losses(loss, problem.speed)
+        self.losses = LossTracker(loss, problem.speed)
         self.robots_changed = False
         """Whether robots were lost or replaced since the previous step."""
         self._period_ns = round(period_s * SECOND)
@@ -94,7 +94,7 @@ class StateEstimator:
 
         None if the motion is known exactly, so that nothing is identified.
         """
-        return self.estimate and self.estimate.only(self.present)
+        return self.estimate and self.estimate.select_robots(self.present)
 
     def add_step(
         self,
@@ -120,9 +120,9 @@ class StateEstimator:
         if last_command is not None:
             self.add_command(last_command)
         self._newest_ns = observation.sampled_ns
-        changes_before = self.losses.changes
+        changes_before = self.losses.change_count
         replaced = [i for frame in (*earlier, observation) for i in self.losses.add_frame(frame)]
-        self.robots_changed = self.losses.changes > changes_before
+        self.robots_changed = self.losses.change_count > changes_before
         if self.robots_changed and not self.present.any():
             raise ControlError("all robots of the trial are lost")
         self._predictor.add_frames(observation, earlier)
@@ -131,7 +131,7 @@ class StateEstimator:
         self._held_directions = forecast.directions
         self.dead_time_s = forecast.dead_time_s
         if isinstance(forecast, KnownForecast):
-            return replace(self.problem, poses=forecast.poses).only(self.present)
+            return replace(self.problem, poses=forecast.poses).select_robots(self.present)
         estimate = forecast.estimate
         self._has_misfit |= not estimate.fits
         if self._has_misfit:
@@ -148,7 +148,7 @@ class StateEstimator:
             saturation=estimate.saturation,
         )
         self._last_problem = problem
-        return problem.only(self.present)
+        return problem.select_robots(self.present)
 
     def _record_step(self, last_command: Command | None, observation: Observation) -> None:
         """Record the previous step, to compare its prediction with frames if the model misfits.

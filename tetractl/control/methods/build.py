@@ -4,10 +4,10 @@ import gc
 import time
 from collections.abc import Callable
 
-from tetractl.spec.experiment import Experiment, packages
+from tetractl.spec.experiment import Experiment, find_packages
 from tetractl.spec.section_abilities import Modelled, Searches
-from tetractl.tools.cache import compiling
-from tetractl.tools.plugin_fault import plugins_named
+from tetractl.tools.cache import compile_listeners
+from tetractl.tools.plugin_fault import name_plugins_in_errors
 
 REMINDER_S = 10.0
 """Time between two messages that code is still being compiled [s]."""
@@ -38,13 +38,13 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
         announce(f"compiling for {compiled_for(experiment)}: {duration} ...")
         announced_s.append(now_s)
 
-    compiling.append(announce_compiling)
+    compile_listeners.append(announce_compiling)
     gc.disable()
     try:
-        with plugins_named(packages(experiment)):
+        with name_plugins_in_errors(find_packages(experiment)):
             experiment.controller.warm_up(experiment.setup)
     finally:
-        compiling.remove(announce_compiling)
+        compile_listeners.remove(announce_compiling)
         if collects:
             gc.enable()
     if announced_s:

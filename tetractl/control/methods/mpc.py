@@ -288,7 +288,7 @@ class Mpc:
         self.time.add_step(observation, last_command)
         motion = self.estimator.add_step(observation, last_command, earlier)
         dead = self.estimator.losses.dead
-        if dead.any() and self.setup.loss and self.setup.loss.ends:
+        if dead.any() and self.setup.loss and self.setup.loss.ends_trial:
             raise ControlError(describe_dead(self.setup.names, dead))
         poses = observation.poses
         if self.estimator.robots_changed:

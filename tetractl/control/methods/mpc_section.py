@@ -13,7 +13,7 @@ from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
 from tetractl.core.registries import OPTIMIZERS
-from tetractl.core.setup import MM, Setup
+from tetractl.core.setup import MILLIMETRE_M, Setup
 from tetractl.model.cell_numbers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
 from tetractl.spec.base import (
     Model,
@@ -117,8 +117,8 @@ class PriorSection(Model):
         """
         is_cell = not setup.on_wheels
         mean_speed = float(problem.speed.mean())
-        x, y, heading = setup.sight.spread
-        mm = MM / setup.metres
+        x, y, heading = setup.sight.pose_std
+        mm = MILLIMETRE_M / setup.metres
         helix_of_cell = HELIX_UM[0] * 1e-6 / setup.metres
         helix_by_default = helix_of_cell if is_cell else 0.0
         return Prior(
@@ -143,7 +143,7 @@ class PriorSection(Model):
             if self.rests(setup)
             else Sticks(),
             spread=(x * mm, y * mm, heading),
-            coarse=setup.sight.coarse,
+            coarse=setup.sight.has_grid,
         )
 
 

@@ -11,7 +11,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.plan import Decision, End, Outcome, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
-from tetractl.spec.base import ANGLE, Finite, NonNegative
+from tetractl.spec.base import ANGLE_MARK, Finite, NonNegative
 from tetractl.spec.controller import ALONE, Host
 
 
@@ -19,7 +19,7 @@ class SequenceSection(PlainSection):
     """A given sequence of directions, one per control step, without a search."""
 
     type: Literal["sequence"] = "sequence"
-    directions: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000), ANGLE]
+    directions: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000), ANGLE_MARK]
     """The direction of each control step [rad]; the robots are stopped after the last one."""
     remainder: NonNegative = 0.0
     """Time for which the last direction is held in addition to one control period [s]."""

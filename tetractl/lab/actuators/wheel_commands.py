@@ -16,7 +16,7 @@ from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.commands import Action, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.protocols import Health, RobotStatus
-from tetractl.core.setup import MM, Setup
+from tetractl.core.setup import MILLIMETRE_M, Setup
 from tetractl.model.wheels import CountArray, Drivetrains, WheelHost
 
 PREDICTION_MAX_NS = SECOND // 10
@@ -134,7 +134,9 @@ def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
     Returns:
         The distances. NaN for a robot without a distance of its own, if the setup has none either.
     """
-    radius = math.nan if setup.wheel_radius is None else setup.wheel_radius * setup.metres / MM
+    radius = (
+        math.nan if setup.wheel_radius is None else setup.wheel_radius * setup.metres / MILLIMETRE_M
+    )
     return np.array([radius if stated is None else stated for stated in stated_mm])
 
 
@@ -212,7 +214,7 @@ class WheeledActuator(ABC):
         self._clock = clock
         self._link = link
         self._delay_ns = delay_ns
-        self._mm = setup.metres / MM  # millimetres per length unit of the spec
+        self._mm = setup.metres / MILLIMETRE_M  # millimetres per length unit of the spec
         speed = setup.speed * self._mm
         self._host = WheelHost(setup.a, speed, self.radii, setup.lag_s, drivetrains)
         self._ask = ask

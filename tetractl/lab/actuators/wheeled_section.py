@@ -9,7 +9,7 @@ from pydantic import Field
 from tetractl.core.errors import AbortError
 from tetractl.core.setup import Setup
 from tetractl.spec.base import Positive
-from tetractl.spec.lab_section import ActuatorSection, RobotPart, too_fast, unknown_radii
+from tetractl.spec.lab_section import ActuatorSection, RobotPart, find_unknown_radii, too_fast
 from tetractl.spec.yaml.problems import Loc
 
 
@@ -125,7 +125,7 @@ class SpeedSection(ActuatorSection):
     ) -> Iterator[tuple[Loc, str]]:
         """Yield the field and message of each problem with the wheels' speeds and radii."""
         yield from too_fast(setup, self.speed_max_mm_s)
-        yield from unknown_radii(setup, [robot.radius_mm for robot in robots])
+        yield from find_unknown_radii(setup, [robot.radius_mm for robot in robots])
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return the output for a 127th of the maximum wheel speed, and for `limit` of these."""

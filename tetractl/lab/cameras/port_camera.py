@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.errors import AbortError, text_of
+from tetractl.core.errors import AbortError, describe_error
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
@@ -14,7 +14,7 @@ from tetractl.lab.cameras.stamp_clock import StampClock
 from tetractl.lab.serial_port import UNREADABLE, PortFactory, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
 from tetractl.spec.section_abilities import Addressed
-from tetractl.tools.worker import drained
+from tetractl.tools.worker import take_all
 
 REQUEST = b"poses\n"
 """The message that requests the stream of poses. It is sent once, when the camera is opened."""
@@ -131,7 +131,7 @@ class PortCamera(ABC):
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame received since the last call, oldest first."""
-        return drained(self._pending_frames)
+        return take_all(self._pending_frames)
 
     def _receive(self, data: bytes, received_ns: int) -> None:
         """Convert a message to a frame with the time of its exposure.
@@ -147,7 +147,9 @@ class PortCamera(ABC):
                 raise ValueError(f"{len(poses)} poses, not {n_robots}")
         except UNREADABLE as error:
             self.damaged += 1
-            self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
+            self._first_damaged = (
+                self._first_damaged or f"{describe_error(error)}, in {data[:60]!r}"
+            )
             return
         late_ns = 0
         if stamp_s is not None:

@@ -20,13 +20,13 @@ from tetractl.log import provenance
 from tetractl.log.bundle.aliases import Aliases
 from tetractl.log.bundle.capture import alias_capture, is_capture
 from tetractl.log.format.channels import (
-    BACKGROUND,
+    BACKGROUND_TOPIC,
     CHANNELS,
     DIGESTS,
     ENVIRONMENT,
     HOST,
     LOG,
-    PICTURE,
+    PICTURE_TOPIC,
     RECOVERED,
     RESULT,
     RUN,
@@ -148,7 +148,7 @@ def _add_log(
         for record in log.records:
             if isinstance(record, Entry):
                 last_ns = max(last_ns, record.log_ns)
-                bundle.images += record.topic in (PICTURE, BACKGROUND)
+                bundle.images += record.topic in (PICTURE_TOPIC, BACKGROUND_TOPIC)
                 if record.topic == DIGESTS:
                     continue
             sink.add(_alias_record(record, aliases))

@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from mcap.records import Attachment
 
-from tetractl.core.poses import BACKGROUND, PICTURE
+from tetractl.core.poses import BACKGROUND_TOPIC, PICTURE_TOPIC
 from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
@@ -60,8 +60,8 @@ TABLE: tuple[tuple[int, str, type[Message]], ...] = (
     (8, SCENE_PLAN, SceneUpdate),
     (9, LOG, Log),
     (10, HOST_TIMING, pb.StepTiming),
-    (13, PICTURE, CompressedImage),
-    (14, BACKGROUND, CompressedImage),
+    (13, PICTURE_TOPIC, CompressedImage),
+    (14, BACKGROUND_TOPIC, CompressedImage),
     (15, HOST_END, pb.HostEnd),
     (16, RESULT, pb.Result),
     (17, DIGESTS, pb.Digests),

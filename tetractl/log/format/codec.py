@@ -6,8 +6,8 @@
 
 Each pair is an `encode_` and a `decode_` function, next to each other. Decoding returns exactly the
 bits that were encoded, with two exceptions, which only serve drawing: predicted paths are rounded
-(`drawn`), and true poses have single precision unless they equal the measured ones. Decoding raises
-ValueError for a message that cannot come from a trial with this number of robots.
+(`round_for_drawing`), and true poses have single precision unless they equal the measured ones.
+Decoding raises ValueError for a message that cannot come from a trial with this number of robots.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,12 @@ import numpy as np
 
 from tetractl.core.commands import Action, Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import printable
-from tetractl.core.loggable import ESTIMATE_FIELDS, STOP_REASON_MAX, drawn, stop_reason
+from tetractl.core.loggable import (
+    LOGGED_ESTIMATE_FIELDS,
+    STOP_REASON_MAX,
+    round_for_drawing,
+    stop_reason,
+)
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Plan, Search, State
 from tetractl.core.poses import Floats, Frames, Observation, Poses
@@ -174,7 +179,7 @@ def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
     rounded, and lose their headings.
     """
     plan = step.plan
-    path = drawn(plan.path[..., :2]).reshape(-1, 2)
+    path = round_for_drawing(plan.path[..., :2]).reshape(-1, 2)
     return pb.ControllerStep(
         k=step.k,
         observation=encode_observation(step.observation),
@@ -314,7 +319,7 @@ def _decode_estimate(message: pb.Estimate, n_robots: int) -> Estimate:
         lag=_floats_or_none(message.lag),
         lag_std=_floats_or_none(message.lag_std),
     )
-    values = (getattr(estimate, name) for name in ESTIMATE_FIELDS)
+    values = (getattr(estimate, name) for name in LOGGED_ESTIMATE_FIELDS)
     counts = {len(value) for value in values if isinstance(value, np.ndarray)}
     if counts != {n_robots}:
         raise ValueError(f"an estimate has {sorted(counts)} robots instead of {n_robots}")

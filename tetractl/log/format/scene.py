@@ -27,7 +27,7 @@ from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import GREY, OBSTACLE, robot_colors
 from tetractl.core.errors import printable
-from tetractl.core.loggable import drawn
+from tetractl.core.loggable import round_for_drawing
 from tetractl.core.poses import Floats, Frames
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note
@@ -91,13 +91,14 @@ class Scene:
 
     Args:
         setup: The experiment's arena, robots, targets and obstacles.
-        exact: Whether transforms and plans keep all digits. Otherwise, `drawn` rounds them. A lab's
-            transforms are exact, because they are also a second copy of its camera frames.
+        exact: Whether transforms and plans keep all digits. Otherwise, `round_for_drawing` rounds
+            them. A lab's transforms are exact, because they are also a second copy of its camera
+            frames.
     """
 
     def __init__(self, setup: Setup, exact: bool = False) -> None:
         self._setup = setup
-        self._round_values = np.asarray if exact else drawn
+        self._round_values = np.asarray if exact else round_for_drawing
         self._metres = setup.metres
         self._colors = [
             _parse_color(hex_color) for hex_color in robot_colors(setup.names, setup.colors)
@@ -119,7 +120,7 @@ class Scene:
         Returns:
             One message for each of `frame_series`, whose transforms are ordered by robot.
         """
-        frames = Frames.joined(frame_series)
+        frames = Frames.join(frame_series)
         has_pose = frames.valid & np.isfinite(frames.poses).all(axis=2)
         times = [to_timestamp(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
         robots, rows = np.nonzero(has_pose.T)

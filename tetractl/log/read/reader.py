@@ -22,7 +22,7 @@ from google.protobuf.message import DecodeError
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Frames, Poses
-from tetractl.core.trial import OWN_FILES, PlantInfo, Result, Start, Step
+from tetractl.core.trial import RESERVED_FILE_NAMES, PlantInfo, Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format.run_records import decode_facts
@@ -33,7 +33,7 @@ from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 from tetractl.spec.experiment import Experiment
-from tetractl.spec.load import parse_written
+from tetractl.spec.load import parse_resolved
 from tetractl.spec.yaml.spec_files import MAX_BYTES
 
 
@@ -72,7 +72,7 @@ def trial_of(contents: RawLog, steps_max: int | None = None) -> TrialLog:
         notes = [decode_note(message, start_ns) for message in contents.messages(channels.LOG)]
         pictures = [
             (entry.publish_ns - start_ns, CompressedImage.FromString(entry.data).data)
-            for entry in contents.entries_by_topic[channels.PICTURE]
+            for entry in contents.entries_by_topic[channels.PICTURE_TOPIC]
         ]
     stops = [command for command in commands if command.stops]
     trial = TrialLog(
@@ -270,7 +270,7 @@ def _decode_start(contents: RawLog) -> tuple[Experiment, Start]:
         attached=tuple(
             (name, attachment.data.decode(errors="replace"))
             for name, attachment in contents.attachments.items()
-            if name not in OWN_FILES
+            if name not in RESERVED_FILE_NAMES
         ),
     )
 
@@ -278,7 +278,7 @@ def _decode_start(contents: RawLog) -> tuple[Experiment, Start]:
 @lru_cache(maxsize=16)
 def _parse_spec(resolved: str) -> tuple[Experiment, str]:
     """Parse the resolved spec in a log, and return the experiment and the spec's hash."""
-    spec = parse_written(resolved, channels.RESOLVED_SPEC)
+    spec = parse_resolved(resolved, channels.RESOLVED_SPEC)
     return spec.experiment, spec.hash
 
 
@@ -286,7 +286,7 @@ def _decode_frames(contents: RawLog, n_robots: int) -> Frames:
     """Decode all camera frames of a trial with N robots."""
     no_frames = Frames.from_samples((), n_robots)  # a log may have no frames
     messages = contents.messages(channels.FRAMES)
-    frames = Frames.joined(
+    frames = Frames.join(
         [no_frames, *(codec.decode_frames(message, n_robots) for message in messages)]
     )
     validate.check_frames(frames)

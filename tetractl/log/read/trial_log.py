@@ -13,7 +13,13 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.shown import NotebookDisplay
-from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
+from tetractl.core.trial import (
+    EMULATED_DEVICES_FACT,
+    EMULATED_PLANT,
+    PlantInfo,
+    Result,
+    TrialRecords,
+)
 from tetractl.log.format.derived_messages import outcome_from_log
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import LoadedSpec
@@ -38,7 +44,9 @@ class Origin(StrEnum):
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
-        is_emulated = experiment.plant.type == EMULATED_PLANT or plant.facts.get(EMULATED_DEVICES)
+        is_emulated = experiment.plant.type == EMULATED_PLANT or plant.facts.get(
+            EMULATED_DEVICES_FACT
+        )
         return cls.EMULATED if is_emulated else cls.LAB
 
     @property

@@ -24,7 +24,7 @@ from mcap.records import Attachment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.loggable import drawn
+from tetractl.core.loggable import round_for_drawing
 from tetractl.core.poses import Frames, Sample
 from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log import provenance
@@ -163,7 +163,7 @@ class Encoder:
         frames_per_message = self._frames_per_message
         first_rows = range(0, len(frames.numbers), frames_per_message)
         messages = [
-            frames.part(slice(first_row, first_row + frames_per_message))
+            frames.select(slice(first_row, first_row + frames_per_message))
             for first_row in first_rows
         ]
         shown_frames: list[Frames] = []
@@ -171,7 +171,9 @@ class Encoder:
             first_shown_row = (
                 len(message.numbers) - 1
             ) % self._frames_per_shown  # so the last one is shown
-            shown_frames.append(message.part(slice(first_shown_row, None, self._frames_per_shown)))
+            shown_frames.append(
+                message.select(slice(first_shown_row, None, self._frames_per_shown))
+            )
         # for all messages at once, which takes hardly longer than for one frame
         transforms = self._scene.transforms(shown_frames, self._start.start_unix_ns)
         for message, shown, transform in zip(messages, shown_frames, transforms, strict=True):
@@ -202,7 +204,7 @@ class Encoder:
         self._add(channels.COMMANDS, command, sent_ns)
         if sent_ns >= self._next_plan_ns:
             self._next_plan_ns = sent_ns + PLAN_SHOWN_NS
-            path = drawn(step.plan.path)
+            path = round_for_drawing(step.plan.path)
             plan = self._scene.plan(path, self._start.start_unix_ns + sent_ns)
             self._add(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         timing = StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)

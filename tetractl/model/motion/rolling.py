@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.elementary import exp, expm1, sin
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion.exact import turn
@@ -84,7 +84,7 @@ class SentRates(NamedTuple):
     @classmethod
     def none(cls, robots: int) -> Self:
         """Create rates of 0 for robots that stand still, with space for later rates."""
-        times_ns = np.full(ENTRIES_AT_FIRST, NEVER)
+        times_ns = np.full(ENTRIES_AT_FIRST, NEVER_NS)
         times_ns[0] = 0
         return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))
 
@@ -93,10 +93,10 @@ class SentRates(NamedTuple):
 
         These are the same arrays if they have space already.
         """
-        if self.times_ns[-2] == NEVER:
+        if self.times_ns[-2] == NEVER_NS:
             return self
         return SentRates(
-            times_ns=np.concatenate([self.times_ns, np.full_like(self.times_ns, NEVER)]),
+            times_ns=np.concatenate([self.times_ns, np.full_like(self.times_ns, NEVER_NS)]),
             rates=np.concatenate([self.rates, np.zeros_like(self.rates)]),
             true_at_first=self.true_at_first,
         )
@@ -219,7 +219,7 @@ def note(sent: SentRates, acts_ns: int, speeds: Floats, radius: Floats) -> None:
         radius: Distance from a wheel to the centre [length unit], shape (N,).
     """
     k = 0
-    while sent.times_ns[k] != NEVER:
+    while sent.times_ns[k] != NEVER_NS:
         k += 1
     sent.times_ns[k] = acts_ns
     for i in range(len(radius)):

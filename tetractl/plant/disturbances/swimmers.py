@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.spec.base import ANGLE, Finite, NonNegative, Positive
+from tetractl.spec.base import ANGLE_MARK, Finite, NonNegative, Positive
 from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 
@@ -17,7 +17,7 @@ class FlowSection(DisturbanceSection):
     type: Literal["flow"]
     speed: NonNegative
     """Speed of the flow [length unit/s]."""
-    direction: Annotated[Finite | None, ANGLE] = None
+    direction: Annotated[Finite | None, ANGLE_MARK] = None
     """Direction of the flow, anticlockwise from +x [rad]. Default: sampled in every trial."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":

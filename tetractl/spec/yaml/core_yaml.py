@@ -35,35 +35,37 @@ SCALARS = {
 }
 
 
-def not_yaml(origin: str, message: str, mark: Mark | None) -> InvalidSpecError:
+def create_yaml_error(origin: str, message: str, mark: Mark | None) -> InvalidSpecError:
     """Create the error for text that is not one YAML document within the limits.
 
     Args:
-        origin: The file.
+        origin: Name of the file.
         message: What is wrong.
-        mark: Where. None if unknown.
+        mark: The position in the text. None if it is unknown.
     """
     line, column = (None, None) if mark is None else (mark.line + 1, mark.column + 1)
     return InvalidSpecError([SpecProblem(origin, printable(message, 300), line, column)])
 
 
-def within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> None:
-    """Check that nesting is not too deep and that there are not too many values.
+def require_within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> None:
+    """Check that the values of a YAML file are not nested too deeply, and are not too many.
 
     Args:
-        origin: The file.
+        origin: Name of the file.
         depth: Depth of nesting.
         nodes: Number of values so far.
-        mark: Where the value is.
+        mark: Position of the value in the text.
 
     Raises:
         InvalidSpecError: If a limit is exceeded.
     """
     if depth > MAX_DEPTH:
-        raise not_yaml(origin, f"the values are nested deeper than {MAX_DEPTH} levels", mark)
+        raise create_yaml_error(
+            origin, f"the values are nested deeper than {MAX_DEPTH} levels", mark
+        )
     if nodes > MAX_NODES:
         text = f"the file has more than {MAX_NODES} values, if every use of an alias counts"
-        raise not_yaml(origin, text, mark)
+        raise create_yaml_error(origin, text, mark)
 
 
 class _Composer(yaml.SafeLoader):
@@ -78,7 +80,7 @@ class _Composer(yaml.SafeLoader):
     def compose_node(self, parent: Node | None, index: Any) -> Node | None:
         self.depth += 1
         self.nodes += 1
-        within_limits(self.origin, self.depth, self.nodes, self.peek_event().start_mark)
+        require_within_limits(self.origin, self.depth, self.nodes, self.peek_event().start_mark)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -99,11 +101,11 @@ for _tag, (_pattern, _first) in SCALARS.items():
         _resolver.add_implicit_resolver(_tag, re.compile(_pattern), _first)
 
 
-def compose(text: str, origin: str) -> Node | None:
-    """Parse a text to a graph of YAML nodes. None if it is empty.
+def parse_nodes(text: str, origin: str) -> Node | None:
+    """Parse a text to a graph of YAML nodes, and return the root. None if the text is empty.
 
     Raises:
-        InvalidSpecError: If it is not YAML, or contains more than one document.
+        InvalidSpecError: If the text is not YAML, or contains more than one document.
     """
     try:
         composer = _Composer(text, origin)
@@ -113,27 +115,27 @@ def compose(text: str, origin: str) -> Node | None:
         root = composer.compose_document()
         if not composer.check_event(StreamEndEvent):
             mark = composer.peek_event().start_mark
-            raise not_yaml(
+            raise create_yaml_error(
                 origin, "a second document starts here, but a spec is a single document", mark
             )
     except ReaderError as error:
-        before = text[: error.position]
-        column = len(before) - before.rfind("\n") - 1
-        mark = _mark(before.count("\n"), column)
+        text_before = text[: error.position]
+        column = len(text_before) - text_before.rfind("\n") - 1
+        mark = _create_mark(text_before.count("\n"), column)
         message = f"not valid YAML: the character U+{error.character:04X} is not allowed"
-        raise not_yaml(origin, message, mark) from None
+        raise create_yaml_error(origin, message, mark) from None
     except MarkedYAMLError as error:
         if error.problem_mark is not None:
             _refuse_missing_space(text, origin, error.problem_mark.line)
         context = f" ({error.context})" if error.context else ""
-        tabs = "; indent with spaces, not tabs" if "'\\t'" in (error.problem or "") else ""
-        message = f"not valid YAML: {error.problem}{context}{tabs}"
-        raise not_yaml(origin, message, error.problem_mark or error.context_mark) from None
-    unwritten = isinstance(root, ScalarNode) and root.start_mark.index == root.end_mark.index
-    return None if unwritten else root
+        tab_hint = "; indent with spaces, not tabs" if "'\\t'" in (error.problem or "") else ""
+        message = f"not valid YAML: {error.problem}{context}{tab_hint}"
+        raise create_yaml_error(origin, message, error.problem_mark or error.context_mark) from None
+    is_empty = isinstance(root, ScalarNode) and root.start_mark.index == root.end_mark.index
+    return None if is_empty else root
 
 
-def _mark(line: int, column: int) -> Mark:
+def _create_mark(line: int, column: int) -> Mark:
     """Create a position in a text. Line and column are counted from 0."""
     return Mark("", 0, line, column, None, 0)
 
@@ -146,26 +148,26 @@ def _refuse_missing_space(text: str, origin: str, line: int) -> None:
     Raises:
         InvalidSpecError: If the space is missing.
     """
-    above = text.splitlines()[max(line - 1, 0) : line]
-    entry = above[0].partition(" #")[0] if above else ""
-    hint = with_space(entry.strip())
+    lines_above = text.splitlines()[max(line - 1, 0) : line]
+    key_and_value = lines_above[0].partition(" #")[0] if lines_above else ""
+    hint = suggest_space(key_and_value.strip())
     if hint:
-        indent = len(entry) - len(entry.lstrip())
-        mark = _mark(line - 1, indent)
-        raise not_yaml(origin, f"not valid YAML: {hint}", mark) from None
+        indent = len(key_and_value) - len(key_and_value.lstrip())
+        mark = _create_mark(line - 1, indent)
+        raise create_yaml_error(origin, f"not valid YAML: {hint}", mark) from None
 
 
-def with_space(text: str) -> str:
-    """Return a hint for a key and its value without a space between them. Empty for other texts.
+def suggest_space(text: str) -> str:
+    """Suggest a missing space after the colon of a key, as in "speed:3". Empty for other texts.
 
-    YAML reads these as one text.
+    YAML reads such a key and its value as one text.
     """
     match = re.fullmatch(r"([A-Za-z_]\w*):([^\s/:].*)", text)
     return f"a space is missing after the colon: {match[1]}: {match[2]}" if match else ""
 
 
-def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Convert the text of a scalar to a value, according to its tag.
+def convert_scalar(tag: str, text: str) -> str | bool | int | float | None:
+    """Convert the text of a YAML scalar to a value, according to its tag.
 
     Raises:
         ValueError: If the text does not fit the tag. The message gives the reason.
@@ -173,7 +175,7 @@ def scalar(tag: str, text: str) -> str | bool | int | float | None:
     if tag == STR:
         return text
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):
-        raise ValueError(f"the tag {short_tag(tag)} does not fit here; leave it out")
+        raise ValueError(f"the tag {shorten_tag(tag)} does not fit here; leave it out")
     if len(text) > MAX_DIGITS:
         raise ValueError(f"a number can have at most {MAX_DIGITS} digits")
     match tag.removeprefix(CORE):
@@ -184,18 +186,18 @@ def scalar(tag: str, text: str) -> str | bool | int | float | None:
         case "int":
             base = {"0o": 8, "0x": 16}.get(text[:2])
             return int(text[2:], base) if base else int(text)
-    as_python_writes = text.lower().replace(".inf", "inf").replace(".nan", "nan")
-    number = float(as_python_writes)
+    python_literal = text.lower().replace(".inf", "inf").replace(".nan", "nan")
+    number = float(python_literal)
     # 1e3 and 100.0 are whole numbers in JSON, in the schema and for readers
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
 
 
-def short_tag(tag: str) -> str:
+def shorten_tag(tag: str) -> str:
     """Return the short form of a YAML core tag, such as `!!map`. Other tags stay the same."""
     return tag.replace(CORE, "!!")
 
 
-def dump(data: Any) -> str:
+def format_yaml(data: Any) -> str:
     """Convert plain data to YAML text: one key per line, points as [x, y].
 
     Keys keep their order.

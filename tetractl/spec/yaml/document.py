@@ -1,4 +1,4 @@
-"""A parsed spec: plain data, with the place in the file from which each value comes.
+"""A parsed spec: plain data, and the place in the file from which each value comes.
 
 A location is a tuple of keys and list indices, such as ("robots", 0, "a"). A value may also come
 from `--set`, from another option, or from a file that the spec refers to. Problems with such a
@@ -16,27 +16,33 @@ from tetractl.core.errors import printable
 from tetractl.spec.yaml.core_yaml import (
     CORE,
     STR,
-    compose,
-    scalar,
-    short_tag,
-    within_limits,
+    convert_scalar,
+    parse_nodes,
+    require_within_limits,
+    shorten_tag,
 )
 from tetractl.spec.yaml.problems import (
     SHOWN_LENGTH,
     InvalidSpecError,
     Loc,
     SpecProblem,
-    dotted,
+    format_loc,
 )
 from tetractl.spec.yaml.spec_files import read_text
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The file, line and column (from 1) of a value or a key, and the text of that value or key.
+    """The place of a value or a key in a file, with its text.
 
-    For a value in a mapping, `key` is the place of its key. If YAML's core schema does not allow
-    the value, `refused` is the problem, and the data contains None instead.
+    Attributes:
+        origin: Name of the file, or the option that gives the value.
+        line: The line, from 1. None if unknown.
+        column: The column, from 1. None if unknown.
+        text: The value or key as written. None if unknown.
+        key: Place of the key of a value in a mapping. None for other values.
+        refused: The problem of a value that YAML's core schema does not allow. The data contains
+            None instead of the value. None if the value is allowed.
     """
 
     origin: str
@@ -47,21 +53,27 @@ class Place:
     refused: SpecProblem | None = None
 
     def problem(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem that is reported at this place of the file.
+        """Create a problem that is reported at this place of the file.
 
         Args:
             loc: The location of the value.
             message: What is wrong.
             value: The value as text. None to leave it out.
         """
-        return SpecProblem(self.origin, message, self.line, self.column, dotted(loc), value)
+        return SpecProblem(self.origin, message, self.line, self.column, format_loc(loc), value)
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed spec: its data, the place of every value in it, and problems so far.
+    """A parsed spec, with the place of every value and the problems that were found so far.
 
-    `text` is the spec as written, and `path` its file, None for a text that comes from no file.
+    Attributes:
+        origin: Name of the file, for messages.
+        data: The spec's data: mappings, lists and single values.
+        places: The place of each value, by location.
+        problems: The problems so far, except refused values.
+        text: The spec as written.
+        path: The spec's file. None if the text comes from no file.
     """
 
     origin: str
@@ -90,8 +102,8 @@ class Document:
 
         If unknown, return the place of its value or enclosing node.
         """
-        written = self.places.get(loc)
-        return (written and written.key) or self.place(loc)
+        place = self.places.get(loc)
+        return (place and place.key) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
         """Return the place of a value.
@@ -103,7 +115,7 @@ class Document:
         return self.places.get(loc) or Place(self.origin)
 
     def problem_at(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem that is reported at the place of a value.
+        """Create a problem that is reported at the place of a value.
 
         Args:
             loc: The location of the value.
@@ -113,14 +125,14 @@ class Document:
         return self.place(loc).problem(loc, message, value)
 
     def refuse(self, loc: Loc, message: str) -> None:
-        """Add a problem about the value at a location, with the value's text. Nothing is raised."""
+        """Add a problem about the value at a location to `problems`. Nothing is raised."""
         place = self.place(loc)
         self.problems.append(place.problem(loc, message, place.text))
 
     def holder(self, loc: Loc) -> Any:
-        """Return the mapping or list that holds, or will hold, the value at a location.
+        """Return the mapping or list that contains, or will contain, the value at a location.
 
-        The holder must exist.
+        This mapping or list must exist.
         """
         holder: Any = self.data
         for step in loc[:-1]:
@@ -131,17 +143,17 @@ class Document:
         """Replace the value at a location by a value from another source.
 
         Args:
-            loc: The location. Its parent exists.
+            loc: The location. The mapping or list that contains it must exist.
             value: The new value.
             place: The place from which the new value comes.
         """
         self.holder(loc)[loc[-1]] = value
-        outdated = [inner for inner in self.places if inner[: len(loc)] == loc]
-        for inner in outdated:
-            del self.places[inner]
+        outdated_locs = [inner_loc for inner_loc in self.places if inner_loc[: len(loc)] == loc]
+        for inner_loc in outdated_locs:
+            del self.places[inner_loc]
         self.places[loc] = place
 
-    def take_out(self, loc: Loc) -> None:
+    def remove(self, loc: Loc) -> None:
         """Remove the value at a location, but remember its place for problems.
 
         The value must exist.
@@ -162,13 +174,16 @@ def read_document(path: Path) -> Document:
 
 
 def parse_document(text: str, origin: str) -> Document:
-    """Parse a spec's text; raise InvalidSpecError if it is not readable as YAML.
+    """Parse the text of a spec.
 
-    Errors that leave the rest readable are among the document's `all_problems`.
+    Errors that leave the rest of the text readable become part of the document's `all_problems`.
+
+    Raises:
+        InvalidSpecError: If the text cannot be read as YAML.
     """
     document = Document(printable(origin), text=text)
     text = text.removeprefix("\ufeff")
-    root = compose(text, document.origin)
+    root = parse_nodes(text, document.origin)
     if root is None:
         message = "is empty, but a spec starts with 'name:'"
         raise InvalidSpecError([SpecProblem(document.origin, message)])
@@ -182,7 +197,7 @@ def parse_document(text: str, origin: str) -> Document:
 
 
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
-    """Convert the text of one value, as given to `--set`, by the rules of YAML.
+    """Convert the text of one value, such as the value of `--set`, by the rules of YAML.
 
     Args:
         text: The value.
@@ -190,11 +205,11 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
         loc: The location of the value.
     """
     document = Document(origin)
-    parsed = None
+    value = None
     try:
-        root = compose(text, origin)
+        root = parse_nodes(text, origin)
         if root is not None:
-            parsed = _Builder(text, document).build(root, loc)
+            value = _Builder(text, document).build(root, loc)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
     if document.all_problems:
@@ -203,11 +218,11 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
             SpecProblem(problem.origin, problem.message, field=problem.field)
             for problem in problems
         )
-    return parsed
+    return value
 
 
 class _Builder:
-    """Converts YAML nodes to plain data, within the limits, and fills a document."""
+    """A converter of YAML nodes to plain data, which it stores in a document."""
 
     def __init__(self, text: str, document: Document) -> None:
         self.text = text
@@ -224,7 +239,7 @@ class _Builder:
             key: Place of the node's own key. None if it has none.
         """
         self.count += 1
-        within_limits(self.document.origin, depth, self.count, node.start_mark)
+        require_within_limits(self.document.origin, depth, self.count, node.start_mark)
         places = self.document.places
         places[loc] = self.place(node, key)
         if isinstance(node, MappingNode) and node.tag == CORE + "map":
@@ -236,8 +251,8 @@ class _Builder:
             return [self.build(child, (*loc, i), depth + 1) for i, child in enumerate(node.value)]
         try:
             if isinstance(node, ScalarNode):
-                return scalar(node.tag, node.value)
-            raise ValueError(f"the tag {short_tag(node.tag)} does not fit here; leave it out")
+                return convert_scalar(node.tag, node.value)
+            raise ValueError(f"the tag {shorten_tag(node.tag)} does not fit here; leave it out")
         except ValueError as error:
             problem = places[loc].problem(loc, printable(str(error), 200))
             places[loc] = replace(places[loc], refused=problem)

@@ -11,8 +11,11 @@ Loc = tuple[str | int, ...]
 """A location in a spec, as keys and list indices: ("robots", 0, "start")."""
 
 SHOWN_PROBLEMS = 100
+"""Maximum number of problems that an error lists."""
 SHOWN_LENGTH = 60
-NEAR_FILES = 3  # file names suggested in the place of a missing one
+"""Maximum number of characters of a value in a message."""
+NEAR_FILES = 3
+"""Maximum number of file names that are suggested for a missing file."""
 SUFFIXES = (".yaml", ".yml")
 MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})  # both read as u
 
@@ -38,7 +41,7 @@ class SpecProblem:
     value: str | None = None
 
     @property
-    def where(self) -> str:
+    def location(self) -> str:
         """The location as `origin:line:column`, which editors and terminals can follow.
 
         It is only the origin if the line is unknown.
@@ -46,13 +49,14 @@ class SpecProblem:
         return self.origin if self.line is None else f"{self.origin}:{self.line}:{self.column}"
 
     def __str__(self) -> str:
-        return ": ".join(filter(None, [self.where, self.field, self.value, self.message]))
+        return ": ".join(filter(None, [self.location, self.field, self.value, self.message]))
 
 
 class InvalidSpecError(SpecError):
-    """An error: a spec has problems.
+    """A spec has problems. The message lists them, one per line.
 
-    The message lists them, one per line, and `problems` contains them.
+    Attributes:
+        problems: The problems, in the order of their lines.
     """
 
     def __init__(self, problems: Iterable[SpecProblem], hint: str | None = None) -> None:
@@ -65,9 +69,9 @@ class InvalidSpecError(SpecError):
         return "\n".join(_in_python(line) for line in lines)
 
     def lines(self) -> list[str]:
-        """Return one line per problem.
+        """Format the problems as one line each.
 
-        After SHOWN_PROBLEMS of them, one line says that there are more.
+        If there are more than SHOWN_PROBLEMS, a last line says so.
         """
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
@@ -84,28 +88,34 @@ def _in_python(line: str) -> str:
     return line if setting == line else f"setting {setting}"
 
 
-def dotted(loc: Loc) -> str:
-    """Return a location as a path for `--set`, such as `robots.0.start`, cut to 200 characters."""
+def format_loc(loc: Loc) -> str:
+    """Format a location as a path for `--set`, such as `robots.0.start`.
+
+    The path is cut to 200 characters.
+    """
     return printable(".".join(map(str, loc)), 200)
 
 
-def did_you_mean(word: str, choices: Sequence[str]) -> str:
-    """Return a suggestion, such as `; did you mean 'heading'?`, or "" if no choice is close."""
-    lower = {choice.lower(): choice for choice in choices}
-    plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
-    close = difflib.get_close_matches(plain, lower, n=1)
-    return f"; did you mean '{lower[close[0]]}'?" if close else ""
+def suggest_similar(word: str, choices: Sequence[str]) -> str:
+    """Suggest the choice that is most similar to a word, such as `; did you mean 'heading'?`.
+
+    The result is "" if no choice is similar.
+    """
+    choice_by_lower = {choice.lower(): choice for choice in choices}
+    searched = word[:SHOWN_LENGTH].lower().translate(MICRO)
+    matches = difflib.get_close_matches(searched, choice_by_lower, n=1)
+    return f"; did you mean '{choice_by_lower[matches[0]]}'?" if matches else ""
 
 
-def near_files(path: Path) -> str:
-    """Suggest specs in the folder of a missing one with similar names.
+def suggest_files(path: Path) -> str:
+    """Suggest specs with similar names in the folder of a missing spec.
 
-    The text is like `; did you mean 'mine.yaml'?`, or empty if there is no similar name.
+    The result is like `; did you mean 'mine.yaml'?`, or empty if there is no similar name.
     """
     try:
         names = sorted(file.name for file in path.parent.iterdir() if file.suffix in SUFFIXES)
     except OSError:
         return ""
-    close = difflib.get_close_matches(path.name[:SHOWN_LENGTH], names, n=NEAR_FILES)
-    texts = [f"'{printable(name)}'" for name in close]
-    return f"; did you mean {' or '.join(texts)}?" if texts else ""
+    matches = difflib.get_close_matches(path.name[:SHOWN_LENGTH], names, n=NEAR_FILES)
+    quoted_names = [f"'{printable(name)}'" for name in matches]
+    return f"; did you mean {' or '.join(quoted_names)}?" if quoted_names else ""

@@ -45,7 +45,7 @@ def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Docume
     steps that are separated by dots. Each step is a key, an index, or the `name` of an entry, as in
     `robots.0.a` and `robots.green.a`. Mappings that the spec omits are created.
     """
-    changed = replace(
+    document_copy = replace(
         document,
         data=deepcopy(document.data),
         places=dict(document.places),
@@ -54,20 +54,20 @@ def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Docume
     for setting in settings:
         try:
             if isinstance(setting, str):
-                _put_text(changed, setting)
+                _apply_setting(document_copy, setting)
             else:
                 place = Place(setting.origin, text=str(setting.value))
-                loc = make_way(changed, setting.path.split("."), place)
-                changed.put(loc, setting.value, place)
+                loc = create_path(document_copy, setting.path.split("."), place)
+                document_copy.put(loc, setting.value, place)
         except InvalidSpecError as error:
-            changed.problems.extend(error.problems)
-    return changed
+            document_copy.problems.extend(error.problems)
+    return document_copy
 
 
-def _put_text(document: Document, setting: str) -> None:
-    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place.
+def _apply_setting(document: Document, setting: str) -> None:
+    """Apply a setting such as `robots.0.a=6`, whose value is YAML, to a parsed spec.
 
-    Mappings that are missing on the way to it are created.
+    Mappings that the path needs but the spec omits are created.
 
     Raises:
         InvalidSpecError: If the setting is malformed, or its path leads nowhere.
@@ -81,18 +81,18 @@ def _put_text(document: Document, setting: str) -> None:
     steps = path.split(".")
     if len(steps) > MAX_DEPTH:
         raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} parts")])
-    loc = make_way(document, steps, place)
+    loc = create_path(document, steps, place)
     value = parse_value(text, place.origin, loc)
     document.put(loc, value, replace(place, text=printable(text, 60) or None))
 
 
-def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
-    """Find the location that a path means, and create mappings that are missing on the way.
+def create_path(document: Document, steps: Sequence[str], place: Place) -> Loc:
+    """Find the location that a setting's path means, and create the mappings that are missing.
 
     Args:
-        document: The document.
-        steps: The path. A step is a key, the `name` of a list's entry, or an index.
-        place: Where the path is given.
+        document: The parsed spec.
+        steps: The steps of the path. A step is a key, the `name` of a list's entry, or an index.
+        place: The option that gives the path, for error messages.
 
     Raises:
         InvalidSpecError: If there is no such location.
@@ -100,22 +100,22 @@ def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
     loc: Loc = ()
     holder: Any = document.data
     for step in steps[:-1]:
-        loc = (*loc, _key(holder, loc, step, place))
+        loc = (*loc, _find_key(holder, loc, step, place))
         if isinstance(holder, dict) and holder.get(step) is None:
             document.put(loc, {}, replace(place, text=None))
         holder = holder[loc[-1]]
-    return (*loc, _key(holder, loc, steps[-1], place))
+    return (*loc, _find_key(holder, loc, steps[-1], place))
 
 
-def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
-    """Return the key or index that one step of a path means in `holder`, the value at `loc`.
+def _find_key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
+    """Find the key or index that one step of a path means in `holder`, the value at `loc`.
 
     Raises:
         InvalidSpecError: If the step is empty, if it is no index of a list, or if the value is
             neither a list nor a mapping.
     """
     if isinstance(holder, list):
-        return _index(holder, loc, step, place)
+        return _find_index(holder, loc, step, place)
     if not isinstance(holder, dict):
         message = f"has no '{printable(step, 60)}', because it is a single value"
         raise InvalidSpecError([place.problem(loc, message)])
@@ -124,8 +124,8 @@ def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
     return step
 
 
-def _index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
-    """Return the index of the list entry that a step means, by index from 0 or by name.
+def _find_index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
+    """Find the index of the list entry that a step of a path means, by index from 0 or by name.
 
     Raises:
         InvalidSpecError: If the list has no such entry.

@@ -3,19 +3,18 @@
 from pathlib import Path
 
 from tetractl.core.errors import SpecError, printable
-from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, near_files
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, suggest_files
 
 MAX_BYTES = 1 << 20
 """Maximum size of a spec file [bytes]."""
 
 
-def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
-    """Return the path of the file to which a key of a spec refers.
+def resolve_path(folder: Path | None, key: str, name: str) -> Path:
+    """Resolve a file name in a spec to a path, relative to the folder of the spec.
 
     Args:
-        folder: The spec's folder, which the name is relative to. None if there is none, as in a
-            log.
-        key: The key.
+        folder: The folder of the spec. None if the spec comes from no file, as in a log.
+        key: The key of the spec that names the file, for error messages.
         name: The name of the file.
 
     Raises:
@@ -33,16 +32,16 @@ def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
 
 
 SPEC_TEXT = "a spec is YAML text"
-"""What `read_text` expects a file to be, unless its caller names something else."""
+"""The description of the file that `read_text` expects, unless its caller gives another one."""
 
 
-def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> str:
+def read_text(path: Path, max_bytes: int = MAX_BYTES, expected: str = SPEC_TEXT) -> str:
     """Read a spec, a file that a spec names, or another file of text.
 
     Args:
         path: The file.
         max_bytes: Maximum size of the file [bytes].
-        what: What the file should be, for messages.
+        expected: Description of the expected file, for messages.
 
     Raises:
         InvalidSpecError: If the file is missing, is too large or cannot be read as UTF-8 text.
@@ -56,26 +55,26 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> 
         if path.exists() and not (path.is_file() or path.is_dir()):  # reading a FIFO may never end
             raise refusal("is not a regular file")
         with path.open("rb") as stream:
-            raw = stream.read(max_bytes + 1)
+            contents = stream.read(max_bytes + 1)
     except FileNotFoundError:
-        raise refusal(f"there is no such file{near_files(path)}") from None
+        raise refusal(f"there is no such file{suggest_files(path)}") from None
     except IsADirectoryError:
-        file = "YAML file" if what == SPEC_TEXT else "file"
+        file = "YAML file" if expected == SPEC_TEXT else "file"
         raise refusal(f"is a folder; name a {file} in this folder") from None
     except OSError as error:
         raise refusal(f"cannot be read: {error.strerror or error}") from None
     except ValueError as error:  # a null character in the name
         raise refusal(f"cannot be read: {error}") from None
-    if len(raw) > max_bytes:
-        is_spec = what == SPEC_TEXT and max_bytes == MAX_BYTES
-        usual = ", but a spec is a few kilobytes of YAML" if is_spec else ""
-        raise refusal(f"is larger than {max_bytes >> 20} MiB{usual}")
-    if b"\0" in raw:
-        raise refusal(f"is a binary file; {what}")
+    if len(contents) > max_bytes:
+        is_spec = expected == SPEC_TEXT and max_bytes == MAX_BYTES
+        size_hint = ", but a spec is a few kilobytes of YAML" if is_spec else ""
+        raise refusal(f"is larger than {max_bytes >> 20} MiB{size_hint}")
+    if b"\0" in contents:
+        raise refusal(f"is a binary file; {expected}")
     try:
-        return raw.decode("utf-8")
+        return contents.decode("utf-8")
     except UnicodeDecodeError as error:
-        before = raw[: error.start]
-        line = before.count(b"\n") + 1
-        column = error.start - before.rfind(b"\n")
+        bytes_before = contents[: error.start]
+        line = bytes_before.count(b"\n") + 1
+        column = error.start - bytes_before.rfind(b"\n")
         raise refusal("is not UTF-8 text; save the file as UTF-8", line, column) from None

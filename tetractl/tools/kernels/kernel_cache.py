@@ -29,12 +29,12 @@ from numba.core import event
 
 from tetractl.tools.cache import (
     cache_folder,
-    claim,
+    claim_folder,
+    compile_listeners,
     compiler_settings,
-    compiling,
-    digest,
-    read_own,
-    say_once,
+    digest_files,
+    print_note_once,
+    read_checked_file,
 )
 from tetractl.tools.kernels import sources
 from tetractl.tools.kernels.kernel_compiler import KernelCompiler
@@ -63,78 +63,84 @@ def _internals() -> _Internals | None:
         return None
 
 
-_SUM = hashlib.sha256().digest_size  # bytes of the checksum before a stored kernel
-LEVEL = "x86-64-v3"  # processors for which kernels are shipped
-SHIPPED = Path(__file__).parent / "shipped"  # folder of the kernels of the package
-_NEEDED = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
+_CHECKSUM_BYTES = hashlib.sha256().digest_size
+"""Number of bytes of the checksum at the beginning of a stored kernel."""
+SHIPPED_LEVEL = "x86-64-v3"
+"""The level of processors for which the package contains compiled kernels."""
+SHIPPED = Path(__file__).parent / "shipped"
+"""The folder of compiled kernels in the package."""
+_NEEDED_FEATURES = (
+    "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
+)
 
 
 @cache
-def folder() -> Path | None:
-    """Return the cache folder for the compiler's present settings. None if it cannot be created.
+def find_kernel_folder() -> Path | None:
+    """Find the cache folder for the compiler's present settings. None if it cannot be created.
 
     Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
-    name = f"kernels-{digest((), compiler_settings())}"
-    stated = os.environ.get("NUMBA_CACHE_DIR")
-    if stated:
-        chosen = Path(stated).absolute() / name
-        why = claim(chosen)
-        if why is None:
-            return chosen
-        say_once(f"NUMBA_CACHE_DIR is not used: {why}")
+    name = f"kernels-{digest_files((), compiler_settings())}"
+    stated_folder = os.environ.get("NUMBA_CACHE_DIR")
+    if stated_folder:
+        kernel_folder = Path(stated_folder).absolute() / name
+        problem = claim_folder(kernel_folder)
+        if problem is None:
+            return kernel_folder
+        print_note_once(f"NUMBA_CACHE_DIR is not used: {problem}")
     try:
-        chosen = cache_folder() / name
-        why = claim(chosen)
-        if why is None:
-            return chosen
+        kernel_folder = cache_folder() / name
+        problem = claim_folder(kernel_folder)
+        if problem is None:
+            return kernel_folder
     except OSError as error:
-        why = error.strerror or str(error)
-    say_once(f"compiled code cannot be kept: {why}")
+        problem = error.strerror or str(error)
+    print_note_once(f"compiled code cannot be kept: {problem}")
     return None
 
 
 @cache
-def shipped() -> Path | None:
-    """Return the folder of compiled code inside the package. None if none runs here.
+def find_shipped_folder() -> Path | None:
+    """Find the folder of compiled code inside the package.
 
-    None is also returned if settings of the compiler, such as NUMBA_OPT, require other code.
+    The result is None if the package contains no code for this processor, or if settings of the
+    compiler, such as NUMBA_OPT, require other code.
     """
     if not SHIPPED.is_dir() or compiler_settings() != "none":
         return None
     features = binding.get_host_cpu_features()
-    return SHIPPED if all(features.get(name) for name in _NEEDED.split()) else None
+    return SHIPPED if all(features.get(name) for name in _NEEDED_FEATURES.split()) else None
 
 
 @dataclass(slots=True)
 class CompileTime:
-    """How long the compilation of one function took.
+    """The time that the compilation of one function took.
 
     Attributes:
-        versions: Number of signatures for which it was compiled.
-        own_s: Processor time without that of the functions that it calls [s].
+        versions: Number of signatures for which the function was compiled.
+        own_s: Processor time, without the time for the functions that it calls [s].
     """
 
     versions: int = 0
     own_s: float = 0.0
 
 
-class _Compiling(event.Listener):
-    """Calls the functions in `compiling` when numba starts to compile, and adds up the time.
+class _CompileListener(event.Listener):
+    """A listener that calls `compile_listeners` when Numba starts to compile, and adds up the time.
 
     Attributes:
         spent_s: Processor time that compiling has taken so far [s].
-        times: The time of each function, by "module.name".
+        times: The compile time of each function, by "module.name".
     """
 
     def __init__(self) -> None:
         self.spent_s = 0.0
         self.times: dict[str, CompileTime] = {}
-        self._begun_s: list[float] = []  # compiling a function compiles those that it calls
-        self._called_s: list[float] = []  # time of the functions called by each of these
+        self._begun_s: list[float] = []  # starts of the compilations that are running, nested
+        self._called_s: list[float] = []  # compile time of the functions that each of them calls
 
     def on_start(self, event: Any) -> None:
-        for call in tuple(compiling):
+        for call in tuple(compile_listeners):
             call()
         self._begun_s.append(time.thread_time())
         self._called_s.append(0.0)
@@ -153,14 +159,14 @@ class _Compiling(event.Listener):
         compile_time.own_s += own_s
 
 
-_listener = _Compiling()
+_listener = _CompileListener()
 event.register("numba:compile", _listener)
 
 
 def computing_s() -> float:
-    """Return the processor time of this thread, without the time for compiling [s].
+    """Measure the processor time of this thread, without the time for compiling [s].
 
-    Only differences of two such times have a meaning.
+    Only the difference of two such times has a meaning.
     """
     return time.thread_time() - _listener.spent_s
 
@@ -176,14 +182,14 @@ def compile_times() -> dict[str, CompileTime]:
 class KernelCache:
     """The compiled code of one function: a file for each signature, processor and Python."""
 
-    def __init__(self, function: Callable[..., Any], place: Path | None) -> None:
+    def __init__(self, function: Callable[..., Any], folder: Path | None) -> None:
         self._function = function
-        self._place = place
+        self._folder = folder
 
     @property
     def cache_path(self) -> str:
         """The folder in which the compiled code is stored."""
-        return str(self._place)
+        return str(self._folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load the compiled code for a signature from this cache, or else from the shipped code.
@@ -192,29 +198,33 @@ class KernelCache:
         """
         target_context.refresh()
         system = target_context.codegen().magic_tuple()
-        own = self._load(self._place, self._key(sig, system), target_context)
-        if own is not None:
-            return own
-        return self._load(shipped(), self._key(sig, (system[0], LEVEL, "")), target_context)
+        own_code = self._load(self._folder, self._key(sig, system), target_context)
+        if own_code is not None:
+            return own_code
+        return self._load(
+            find_shipped_folder(), self._key(sig, (system[0], SHIPPED_LEVEL, "")), target_context
+        )
 
-    def _load(self, place: Path | None, key: tuple[Any, ...], target_context: Any) -> Any:
+    def _load(self, folder: Path | None, key: tuple[Any, ...], target_context: Any) -> Any:
         internals = _internals()
-        if place is None or internals is None:
+        if folder is None or internals is None:
             return None
         try:
-            path = self._path(place, key)
-            stored = path.read_bytes() if place == SHIPPED else read_own(path)
-            if hashlib.sha256(stored[_SUM:]).digest() != stored[:_SUM]:
+            path = self._path(folder, key)
+            stored = path.read_bytes() if folder == SHIPPED else read_checked_file(path)
+            if hashlib.sha256(stored[_CHECKSUM_BYTES:]).digest() != stored[:_CHECKSUM_BYTES]:
                 raise ValueError("its checksum does not match")
-            stored_key, payload = pickle.loads(stored[_SUM:])
+            stored_key, payload = pickle.loads(stored[_CHECKSUM_BYTES:])
             if stored_key == key:
                 return internals.rebuild(target_context, *payload)
         except FileNotFoundError:
             pass
         except PermissionError as error:
-            say_once(f"{error}: compiled again")
+            print_note_once(f"{error}: compiled again")
         except Exception as error:  # after any error the code is compiled again
-            say_once(f"{place}: the file is damaged, so its code is compiled again: {error}")
+            print_note_once(
+                f"{folder}: the file is damaged, so its code is compiled again: {error}"
+            )
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -224,32 +234,34 @@ class KernelCache:
         raised.
         """
         internals = _internals()
-        if self._place is None or internals is None:
+        if self._folder is None or internals is None:
             return
         key = self._key(sig, data.codegen.magic_tuple())
         try:
             stored = internals.dumps((key, internals.reduce(data)))
-            with tempfile.NamedTemporaryFile(dir=self._place, delete=False) as file:
+            with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as file:
                 try:
                     file.write(hashlib.sha256(stored).digest() + stored)
                     file.close()
-                    Path(file.name).replace(self._path(self._place, key))
+                    Path(file.name).replace(self._path(self._folder, key))
                 except OSError:
                     with suppress(OSError):
                         Path(file.name).unlink()
                     raise
         except OSError as error:
-            say_once(f"compiled code cannot be kept: {self._place}: {error.strerror or error}")
+            print_note_once(
+                f"compiled code cannot be kept: {self._folder}: {error.strerror or error}"
+            )
 
     def _key(self, sig: Any, system: tuple[str, ...]) -> tuple[Any, ...]:
         # with the version of Python, whose objects the code reads
         versions = numba.__version__, sys.implementation.cache_tag
-        return sig, *system, *versions, sources.digest(self._function, sig)
+        return sig, *system, *versions, sources.digest_dependencies(self._function, sig)
 
-    def _path(self, place: Path, key: tuple[Any, ...]) -> Path:
+    def _path(self, folder: Path, key: tuple[Any, ...]) -> Path:
         name = f"{self._function.__module__}.{self._function.__qualname__}"
         tag = hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:16]
-        return place / f"{self._function.__name__}-{tag}.kernel"
+        return folder / f"{self._function.__name__}-{tag}.kernel"
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -262,19 +274,19 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     The code of a function without a wrapper for Python is kept only within that of kernels.
     """
 
-    chosen: Any = {"pipeline_class": KernelCompiler} | options
+    all_options: Any = {"pipeline_class": KernelCompiler} | options
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(**chosen)(function)
+        dispatcher: Any = njit(**all_options)(function)
         if options.get("no_cpython_wrapper"):
             return dispatcher
-        place = folder()
+        place = find_kernel_folder()
         if _internals() is None:
-            say_once(
+            print_note_once(
                 f"compiled code cannot be kept, because numba {numba.__version__} is "
                 "unknown to tetractl"
             )
-        elif place is not None or shipped() is not None:
+        elif place is not None or find_shipped_folder() is not None:
             dispatcher._cache = KernelCache(function, place)
         return dispatcher
 

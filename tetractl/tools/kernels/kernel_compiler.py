@@ -127,7 +127,7 @@ class _FunctionFlags(Flags):
         return SharedFlags.equal_to(self)
 
 
-_NEEDLESS = {
+_NEEDLESS_PASSES = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
     untyped_passes.RewriteDynamicRaises,
@@ -161,9 +161,9 @@ class _QuickCompiler(Compiler):
         flags: Flags,
         locals: Any,
     ) -> None:
-        own = _FunctionFlags()
-        own._values = flags._values.copy()
-        super().__init__(typingctx, targetctx, library, args, return_type, own, locals)
+        function_flags = _FunctionFlags()
+        function_flags._values = flags._values.copy()
+        super().__init__(typingctx, targetctx, library, args, return_type, function_flags, locals)
 
     def define_pipelines(self) -> Any:
         """Select the code library, and return those of Numba's compiler passes that are needed."""
@@ -171,10 +171,18 @@ class _QuickCompiler(Compiler):
         managers = super().define_pipelines()
         constants = self.state.func_id.code.co_consts
         creates_arrays = self.state.flags.nrt
-        needless = _NEEDLESS if creates_arrays else _NEEDLESS | {typed_passes.NopythonRewrites}
+        needless = (
+            _NEEDLESS_PASSES
+            if creates_arrays
+            else _NEEDLESS_PASSES | {typed_passes.NopythonRewrites}
+        )
         if not any(isinstance(constant, CodeType) for constant in constants):  # no closures
             for manager in managers:
-                manager.passes = [each for each in manager.passes if each[0] not in needless]
+                manager.passes = [
+                    compiler_pass
+                    for compiler_pass in manager.passes
+                    if compiler_pass[0] not in needless
+                ]
                 manager.finalize()
         return managers
 

@@ -11,9 +11,9 @@ from tetractl.tools.kernels.kernel_compiler import KernelCompiler, PartCompiler
 
 # NaN and inf are kept, to check costs for them. With "reassoc" or "contract", sums would depend on
 # the version of Python, whose bytecode the compiler reads.
-FAST = {"arcp", "nsz"}
-VECTOR = 8
-"""Number of float64 in the widest vector of any processor, and in a cache line."""
+FAST_MATH = {"arcp", "nsz"}
+VECTOR_SIZE = 8
+"""Number of 64-bit floats in the widest vector of any processor, and in a cache line."""
 _COMMON: Any = {
     "nogil": True,
     "error_model": "numpy",
@@ -33,18 +33,18 @@ _UNCOUNTED = {"_nrt": False}
 Such kernels and their parts cannot create arrays: Python passes the arrays that they fill. All
 functions of a kernel that pass on arrays need the same option.
 """
-PART_FAST: Any = _PART | _UNCOUNTED | {"fastmath": FAST}
+PART_FAST: Any = _PART | _UNCOUNTED | {"fastmath": FAST_MATH}
 """For parts that a kernel calls from several places, and that take longer than a call.
 
 Inlining may change the last bits: with "arcp", the compiler may replace a division by a product
 where it sees more of the program. If the options of a part change, compare digests of trials.
 """
-INLINE_FAST: Any = _INLINE | _UNCOUNTED | {"fastmath": FAST}
+INLINE_FAST: Any = _INLINE | _UNCOUNTED | {"fastmath": FAST_MATH}
 """For parts that are inlined at each call: a call would cost as much as they do.
 
 Loops become vector code only if all that they call is inlined.
 """
-ENTRY_FAST: Any = _ENTRY | _UNCOUNTED | {"fastmath": FAST}
+ENTRY_FAST: Any = _ENTRY | _UNCOUNTED | {"fastmath": FAST_MATH}
 """For kernels, which Python calls. They create no arrays: Python passes those that they fill."""
 PART_EXACT: Any = _PART | {"fastmath": False}
 INLINE_EXACT: Any = _INLINE | {"fastmath": False}
@@ -56,18 +56,24 @@ call of this one.
 """
 
 
-def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> FunctionType:
-    """Return a copy of a plain function in which every function that it calls is wrapped by `part`.
+def wrap_called_functions(function: Callable[..., Any], wrap: Callable[..., Any]) -> FunctionType:
+    """Return a copy of a plain function that calls compiled functions instead of plain functions.
 
-    `part` makes a compiled part of a kernel. Models are plain Python without compiler decorators,
-    so that checking a spec does not import the compiler.
+    Models are plain Python without compiler decorators, so that checking a spec does not import the
+    compiler.
+
+    Args:
+        function: The plain function.
+        wrap: Function that compiles a called function as a part of a kernel.
     """
     assert isinstance(function, FunctionType)
     code = function.__code__
-    scope = function.__globals__
-    called = {name: scope.get(name) for name in code.co_names}
-    parts = {name: part(f) for name, f in called.items() if isinstance(f, FunctionType)}
-    return FunctionType(code, {**scope, **parts}, function.__name__)
+    module_globals = function.__globals__
+    called = {name: module_globals.get(name) for name in code.co_names}
+    wrapped = {
+        name: wrap(value) for name, value in called.items() if isinstance(value, FunctionType)
+    }
+    return FunctionType(code, {**module_globals, **wrapped}, function.__name__)
 
 
 @cache
@@ -76,7 +82,7 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
 
     The options are INLINE_FAST, so the last bits of a result may differ from Python's.
     """
-    return njit(**INLINE_FAST)(with_parts(function, inlined))
+    return njit(**INLINE_FAST)(wrap_called_functions(function, inlined))
 
 
 @cache
@@ -85,7 +91,7 @@ def exact(function: Callable[..., Any]) -> Callable[..., Any]:
 
     The compiler may neither reorder nor merge its operations, in contrast to `inlined`.
     """
-    return njit(**INLINE_EXACT)(with_parts(function, exact))
+    return njit(**INLINE_EXACT)(wrap_called_functions(function, exact))
 
 
 def shared_exact(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -93,24 +99,27 @@ def shared_exact(function: Callable[..., Any]) -> Callable[..., Any]:
 
     It is for functions that take longer than a call, such as a sine, outside of vector code.
     """
-    return njit(**PART_EXACT)(with_parts(function, exact))
+    return njit(**PART_EXACT)(wrap_called_functions(function, exact))
 
 
 @cache
-def one_of(size: int) -> Callable[..., Any]:
-    """Return a compiled function (first, one, other) that selects one of two tuples by a condition.
+def create_selector(size: int) -> Callable[..., Any]:
+    """Create a compiled function (first, one, other) that selects one of two tuples.
 
-    Both have the length `size`. It returns `one` if `first` is true, otherwise `other`. Vector code
-    needs it in this form.
+    The function returns `one` if `first` is true, otherwise `other`. Vector code needs a selection
+    in this form.
+
+    Args:
+        size: Length of both tuples.
     """
-    items = "".join(f"one[{k}] if first else other[{k}], " for k in range(size))
-    return njit(**INLINE_FAST)(eval(f"lambda first, one, other: ({items})"))
+    selected_entries = "".join(f"one[{k}] if first else other[{k}], " for k in range(size))
+    return njit(**INLINE_FAST)(eval(f"lambda first, one, other: ({selected_entries})"))
 
 
-def entries(size: int) -> Callable[..., Any]:
-    """Return a compiled function that returns the first `size` entries of a row as a tuple.
+def create_entry_reader(size: int) -> Callable[..., Any]:
+    """Create a compiled function that returns the first `size` entries of a row as a tuple.
 
     The row must have at least that many entries, because this is not checked.
     """
-    items = "".join(f"row[{k}], " for k in range(size))
-    return njit(**INLINE_FAST)(eval(f"lambda row: ({items})"))  # numba knows no shorter way
+    row_entries = "".join(f"row[{k}], " for k in range(size))
+    return njit(**INLINE_FAST)(eval(f"lambda row: ({row_entries})"))  # numba knows no shorter way

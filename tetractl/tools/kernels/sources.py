@@ -11,10 +11,10 @@ import numpy as np
 from numba.core import types
 from numba.extending import is_jitted
 
-from tetractl.tools.cache import digest as files_digest
+from tetractl.tools.cache import digest_files as files_digest
 
 
-def digest(function: Callable[..., Any], sig: Any) -> str:
+def digest_dependencies(function: Callable[..., Any], sig: Any) -> str:
     """Compute 12 hex digits of everything on which the compiled code of a function depends.
 
     It depends on the signature; on the file of each function that it calls, directly or not; on the
@@ -23,20 +23,22 @@ def digest(function: Callable[..., Any], sig: Any) -> str:
     """
     files = set[Path]()
     constants = list[str]()
-    for reached, named in _reached(function):
-        overloads = (value for _, value in named if isinstance(value, FunctionType))
-        codes = [function.__code__ for function in (reached, *overloads)]
+    for compiled_function, named_values in _find_compiled_functions(function):
+        overloads = (value for _, value in named_values if isinstance(value, FunctionType))
+        codes = [function.__code__ for function in (compiled_function, *overloads)]
         files.update(Path(code.co_filename) for code in codes)  # an overload's is in the same file
-        constants += [f"{name} = {_frozen(value)}" for name, value in named]
-    for kind in _classes(sig if isinstance(sig, tuple) else sig.args):
-        files.update(_module_files(kind.__module__))
+        constants += [f"{name} = {_format_constant(value)}" for name, value in named_values]
+    for tuple_class in _find_tuple_classes(sig if isinstance(sig, tuple) else sig.args):
+        files.update(_module_files(tuple_class.__module__))
     return files_digest([file for file in files if file.is_file()], "\n".join(constants))
 
 
-Named = list[tuple[str, Any]]
+NamedValues = list[tuple[str, Any]]
 
 
-def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named]]:
+def _find_compiled_functions(
+    function: Callable[..., Any],
+) -> Iterator[tuple[FunctionType, NamedValues]]:
     """Yield a plain function and all functions compiled into it, with the names they use.
 
     Each function occurs once.
@@ -44,26 +46,26 @@ def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named
     visited = set[FunctionType]()
     to_visit = [function]
     while to_visit:
-        member = to_visit.pop()
-        if not isinstance(member, FunctionType) or member in visited:
+        current = to_visit.pop()
+        if not isinstance(current, FunctionType) or current in visited:
             continue
-        visited.add(member)
-        named = list(_named(member))
-        yield member, named
-        values = [value for _, value in named]
+        visited.add(current)
+        named_values = list(_find_named_values(current))
+        yield current, named_values
+        values = [value for _, value in named_values]
         for overload in (value for value in values if isinstance(value, FunctionType)):
             values = [*values, *overload.__globals__.values()]
         to_visit += [value.py_func for value in values if is_jitted(value)]
 
 
-def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of everything outside a function that its code refers to.
+def _find_named_values(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the value of every variable outside a function that its code refers to.
 
     Built-in names are left out.
     """
-    held = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    yield from ((name, cell.cell_contents) for name, cell in held)
-    names = sorted(_names(function.__code__))
+    closure_cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    yield from ((name, cell.cell_contents) for name, cell in closure_cells)
+    names = sorted(_find_names(function.__code__))
     for name in names:
         if name in function.__globals__:
             value = function.__globals__[name]
@@ -72,44 +74,46 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
                 yield from ((n, vars(value)[n]) for n in names if n in vars(value))
 
 
-def _frozen(value: Any) -> str:
-    """Return a text that identifies the value of a constant in compiled code.
+def _format_constant(value: Any) -> str:
+    """Format the value of a constant in compiled code as a text that identifies the value.
 
-    It is empty for anything but numbers, strings, tuples and arrays.
+    The text is empty for anything but numbers, strings, tuples and arrays.
     """
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, tuple):
-        return f"({', '.join(map(_frozen, value))})"
+        return f"({', '.join(map(_format_constant, value))})"
     return repr(value) if isinstance(value, bool | int | float | complex | str | np.generic) else ""
 
 
-def _names(code: CodeType) -> set[str]:
+def _find_names(code: CodeType) -> set[str]:
     inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
-    return set(code.co_names).union(*map(_names, inner))
+    return set(code.co_names).union(*map(_find_names, inner))
 
 
-def _classes(kinds: Iterable[Any]) -> Iterator[type[Any]]:
+def _find_tuple_classes(numba_types: Iterable[Any]) -> Iterator[type[Any]]:
     """Yield the classes of the named tuples among types, at any depth.
 
     A class can occur repeatedly.
     """
-    for kind in kinds:
-        if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
-            yield kind.instance_class
-        if isinstance(kind, types.Tuple | types.UniTuple | types.NamedTuple | types.NamedUniTuple):
-            yield from _classes(tuple(kind))
+    for numba_type in numba_types:
+        if isinstance(numba_type, types.NamedTuple | types.NamedUniTuple):
+            yield numba_type.instance_class
+        if isinstance(
+            numba_type, types.Tuple | types.UniTuple | types.NamedTuple | types.NamedUniTuple
+        ):
+            yield from _find_tuple_classes(tuple(numba_type))
 
 
 @cache
 def _module_files(name: str) -> frozenset[Path]:
     """Return the Python files in the folder of a module's package, without subfolders.
 
-    If it is in no package, return only its own file, and nothing for a built-in module.
+    If the module is in no package, return only its own file. A built-in module has no files.
     """
     origin = sys.modules[name].__file__
     if origin is None:
         return frozenset()
     file = Path(origin)
-    inside = (file.parent / "__init__.py").exists()
-    return frozenset(file.parent.glob("*.py") if inside else (file,))
+    is_in_package = (file.parent / "__init__.py").exists()
+    return frozenset(file.parent.glob("*.py") if is_in_package else (file,))

@@ -20,29 +20,37 @@ from typing import TextIO
 
 from tetractl.core.errors import UsageError, printable
 
-CSV_BYTES = 1 << 28  # largest file that is read [bytes]
-CSV_ROWS = 2_000_000  # most rows that are read
-CSV_LINE = 1 << 16
+CSV_BYTES_MAX = 1 << 28
+"""Maximum size of a CSV file [bytes]."""
+CSV_ROWS_MAX = 2_000_000
+"""Maximum number of rows of a CSV file."""
+CSV_LINE_MAX = 1 << 16
 """Maximum length of a line of a CSV file [characters]."""
 CHUNK_BYTES = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
 TITLES_MAX = 10
 """Maximum number of lines of titles above a header."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-SEPARATORS = (",", ";", "\t", "|")  # between the entries of a line
+SEPARATORS = (",", ";", "\t", "|")
+"""Characters that may separate the entries of a line."""
 ARCHIVES = {b"\x1f\x8b": "gzip", b"PK": "zip, or a spreadsheet", b"(\xb5": "zstd", b"BZ": "bzip2"}
 """The formats of compressed files, by their first bytes."""
 BLANK_SEPARATOR = " "
 """The separator of entries between which there are only blanks."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?|[+-]?\d+,")
-DECIMAL_COMMA = "a decimal comma needs semicolons or tabs between entries"
+DECIMAL_COMMA_HINT = "a decimal comma needs semicolons or tabs between entries"
 """Hint for numbers with a decimal comma."""
 _SEPARATOR_LINE = re.compile(r"sep=(.)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class CsvRow:
-    """A row of a CSV file: its line number, and its entries by column. Missing entries are ""."""
+    """A row of a CSV file.
+
+    Attributes:
+        line: Line number, from 1.
+        cells: The entries, by column name. Missing entries are "".
+    """
 
     line: int
     cells: dict[str, str]
@@ -75,7 +83,7 @@ def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
     if not path.is_file():
         problem = "is not a regular file" if path.exists() else "no such file"
         raise UsageError(f"{path}: {problem}")
-    if path.stat().st_size > CSV_BYTES:
+    if path.stat().st_size > CSV_BYTES_MAX:
         raise _create_size_error(path)
     _refuse_archive(path)
     try:
@@ -98,7 +106,7 @@ def read_column_names(path: Path) -> tuple[str, ...]:
 
 
 def _create_size_error(path: Path) -> UsageError:
-    limits = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
+    limits = f"{CSV_BYTES_MAX >> 20} MiB, {CSV_ROWS_MAX} rows or {CSV_LINE_MAX} characters in a row"
     return UsageError(
         f"{path}: the file has more than {limits}", "split the file into several files"
     )
@@ -116,9 +124,10 @@ def _refuse_archive(path: Path) -> None:
 
 
 def _detect_encoding(path: Path) -> str:
-    """Return the name of a file's encoding: "utf-16" if its first bytes say so, or "utf-8-sig".
+    """Detect the encoding of a text file: "utf-16", "utf-8-sig" or "cp1252".
 
-    If the file is not valid UTF-8, the result is "cp1252".
+    A byte order mark at the start indicates UTF-16. A file that is neither UTF-16 nor valid UTF-8
+    counts as "cp1252".
     """
     decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as file:
@@ -140,8 +149,8 @@ def _read_lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
     Raises:
         UsageError: If the file or a line is too large, or has a null character.
     """
-    for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), ""), 1):
-        if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
+    for number, line in enumerate(iter(partial(stream.readline, CSV_LINE_MAX), ""), 1):
+        if number > CSV_ROWS_MAX + 1 or len(line) == CSV_LINE_MAX:
             raise _create_size_error(path)
         if "\0" in line:
             raise UsageError(
@@ -152,32 +161,34 @@ def _read_lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
 
 
 def _parse_rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
-    """Yield the rows below the header.
+    """Parse the lines of a CSV file, and yield the rows below the header.
 
     The header may be a comment if numbers follow, as NumPy writes it.
     """
     comments: list[str] = []
-    stated = ""
-    for top in lines:
-        text = top[1].strip()
-        match = _SEPARATOR_LINE.match(text)
+    stated_separator = ""
+    for header_line in lines:
+        line_text = header_line[1].strip()
+        match = _SEPARATOR_LINE.match(line_text)
         if match:
-            stated = match[1]
-        elif text.startswith("#"):
-            comments.append(text.lstrip("# "))
+            stated_separator = match[1]
+        elif line_text.startswith("#"):
+            comments.append(line_text.lstrip("# "))
         else:
             break
     else:
         return
-    top, below = _below_titles(top, lines)
-    text = top[1].rstrip().lstrip(" ")  # a tab before it ends a name that is empty
-    separator = stated or _separator(text, below[0][1] if below else "")
-    header = split_entries(text, separator)
+    header_line, lines_below = _skip_titles(header_line, lines)
+    header_text = header_line[1].rstrip().lstrip(" ")  # a tab before it ends a name that is empty
+    separator = stated_separator or _find_separator(
+        header_text, lines_below[0][1] if lines_below else ""
+    )
+    header = split_entries(header_text, separator)
     if comments and any(map(is_number, header)):
-        below.insert(0, top)
+        lines_below.insert(0, header_line)
         header = split_entries(comments[-1], separator)
     _check_header(path, header)
-    for number, line in chain(below, lines):
+    for number, line in chain(lines_below, lines):
         entries = split_entries(line, separator)
         if entries == header:
             raise UsageError(
@@ -186,47 +197,47 @@ def _parse_rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow
                 "in a column named trial",
             )
         if any(entries):
-            yield CsvRow(number, _cells(path, number, header, entries))
+            yield CsvRow(number, _assign_cells(path, number, header, entries))
 
 
-def _below_titles(
-    top: tuple[int, str], lines: Iterator[tuple[int, str]]
+def _skip_titles(
+    first_line: tuple[int, str], lines: Iterator[tuple[int, str]]
 ) -> tuple[tuple[int, str], list[tuple[int, str]]]:
     """Skip titles above the header, and return the header with the lines read below it.
 
     A line with one entry, such as Imaris writes above a header, is a title if several names follow.
     """
-    if len(_most_entries(top[1])) > 1:
-        return top, list(islice(lines, 1))
-    below: list[tuple[int, str]] = []
+    if len(_split_into_most_entries(first_line[1])) > 1:
+        return first_line, list(islice(lines, 1))
+    lines_below: list[tuple[int, str]] = []
     for line in islice(lines, TITLES_MAX):
-        entries = _most_entries(line[1])
+        entries = _split_into_most_entries(line[1])
         if len(entries) > 1 and not any(map(is_number, entries)):
             return line, list(islice(lines, 1))
-        below.append(line)
+        lines_below.append(line)
         if len(entries) > 1:
             break
-    return top, below
+    return first_line, lines_below
 
 
-def _most_entries(line: str) -> list[str]:
+def _split_into_most_entries(line: str) -> list[str]:
     """Split a line by the separator that gives the most entries, the first one if several do."""
-    text = line.rstrip().lstrip(" ")
-    return max((split_entries(text, separator) for separator in SEPARATORS), key=len)
+    stripped_line = line.rstrip().lstrip(" ")
+    return max((split_entries(stripped_line, separator) for separator in SEPARATORS), key=len)
 
 
-def _separator(header: str, row: str) -> str:
-    """Return the separator that splits a header into the most entries.
+def _find_separator(header: str, row: str) -> str:
+    """Find the separator of a table's entries: the one that splits the header into most entries.
 
     If no separator splits the header into two entries, but blanks split the header and the row
     below into equally many, the separator is blanks.
     """
-    best = max(SEPARATORS, key=lambda separator: len(split_entries(header, separator)))
-    words = len(header.split())
-    entries = len(split_entries(header, best))
-    if entries == 1 and 1 < words == len(row.split()):
+    best_separator = max(SEPARATORS, key=lambda separator: len(split_entries(header, separator)))
+    word_count = len(header.split())
+    entry_count = len(split_entries(header, best_separator))
+    if entry_count == 1 and 1 < word_count == len(row.split()):
         return BLANK_SEPARATOR
-    return best
+    return best_separator
 
 
 def split_entries(line: str, separator: str) -> list[str]:
@@ -242,7 +253,10 @@ def split_entries(line: str, separator: str) -> list[str]:
     stripped = [entry.strip() for entry in entries]
     if separator == ",":
         return stripped
-    return [e.replace(",", ".") if has_decimal_comma(e) else e for e in stripped]
+    return [
+        entry_text.replace(",", ".") if has_decimal_comma(entry_text) else entry_text
+        for entry_text in stripped
+    ]
 
 
 def has_decimal_comma(entry: str) -> bool:
@@ -275,16 +289,18 @@ def _check_header(path: Path, header: list[str]) -> None:
             raise UsageError(f"{path}: two columns have the same name, {printable(name)}")
 
 
-def _cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict[str, str]:
-    """Return the entries of a row of a table, by column. Missing entries are "".
+def _assign_cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict[str, str]:
+    """Assign the entries of a row to the columns of a table. Missing entries are "".
 
-    Columns without a name are left out. If there are more entries than columns, UsageError is
-    raised.
+    Columns without a name are left out.
+
+    Raises:
+        UsageError: If there are more entries than columns.
     """
     if any(entries[len(header) :]):
         raise UsageError(
             f"{path}, line {line}: this line has {len(entries)} entries, but the header has "
             f"{len(header)}",
-            DECIMAL_COMMA,
+            DECIMAL_COMMA_HINT,
         )
     return {name: entry for name, entry in zip_longest(header, entries, fillvalue="") if name}

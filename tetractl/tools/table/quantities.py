@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.errors import UsageError, printable
-from tetractl.core.poses import Floats, turn_problem
-from tetractl.tools.table.csv_rows import DECIMAL_COMMA, CsvRow, has_decimal_comma
+from tetractl.core.poses import Floats, describe_excess_angle
+from tetractl.tools.table.csv_rows import DECIMAL_COMMA_HINT, CsvRow, has_decimal_comma
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 """Units of times, each with its size [s]."""
@@ -28,7 +28,7 @@ METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Units of lengths, each with its size [m]."""
 METRES_S = {f"{unit}_s": metres for unit, metres in METRES.items()}
 """Units of speeds, each with its size [m/s]."""
-SPELLINGS = {
+UNIT_SPELLINGS = {
     "sec": "s",
     "seconds": "s",
     "second": "s",
@@ -62,15 +62,15 @@ SPELLINGS = {
 }
 """Other spellings of units."""
 _UNITS = {unit: unit for unit in (*SECONDS, *RADIANS, *RADIANS_S, *METRES, *METRES_S)}
-_UNITS |= SPELLINGS
+_UNITS |= UNIT_SPELLINGS
 _BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
 _UNKNOWN_ENTRIES = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
-NOT_MEASURED = "if nothing was measured, leave the entry empty"
-PLAIN_NUMBERS = "write numbers like 1234.5, without units, colons or thousands separators"
+NOT_MEASURED_HINT = "if nothing was measured, leave the entry empty"
+PLAIN_NUMBERS_HINT = "write numbers like 1234.5, without units, colons or thousands separators"
 """Hint for an entry that begins with a digit but is not a number.
 
-`NOT_MEASURED` is for words.
+`NOT_MEASURED_HINT` is for words.
 """
 _TRUTH_VALUES = {
     "true": True,
@@ -84,9 +84,9 @@ _TRUTH_VALUES = {
 NUMBER_MAX = 1e9
 """Maximum absolute value of a number that is not a time. Of times, only differences matter."""
 WRAP_MIN_DEG = 300.0
-"""Minimum fall of a direction that has gone from 360 to 0 degrees [deg].
+"""Minimum jump of a direction that has gone from 360 to 0 degrees [deg].
 
-Its maximum is a whole turn.
+The maximum jump is a whole turn.
 """
 TIME_MAX = 1e19
 """Maximum absolute value of a time in any unit: that of nanoseconds since 1970 is 1.8e18."""
@@ -97,33 +97,35 @@ class NumberColumn:
     """A column of numbers in a table, with the factor that converts its unit.
 
     Attributes:
-        key: Its name in the table.
+        key: Name of the column in the table.
         factor: Factor from the table's unit to the unit that is needed.
         largest: Maximum number that is accepted.
     """
 
     key: str
     factor: float = 1.0
-    largest: float = NUMBER_MAX
+    number_max: float = NUMBER_MAX
 
     def number(self, path: Path, row: CsvRow) -> float:
-        """Return the number that this column has in a row, converted to the wanted unit.
+        """Read the number of this column in a row, converted to the needed unit.
 
         Raises:
-            UsageError: If it is missing, no number, or too large.
+            UsageError: If the entry is missing, is not a number, or is too large.
         """
-        number = self.optional(path, row)
+        number = self.read_optional(path, row)
         if math.isnan(number):
             raise UsageError(
                 f"{path}, line {row.line}: {printable(self.key)}: this is not a number"
             )
         return number
 
-    def optional(self, path: Path, row: CsvRow) -> float:
-        """Return the number in a row, in the wanted unit. NaN if it is missing or marked unknown.
+    def read_optional(self, path: Path, row: CsvRow) -> float:
+        """Read the number of this column in a row, converted to the needed unit.
+
+        The result is NaN if the entry is missing or marked as unknown.
 
         Raises:
-            UsageError: If it is no number, or too large.
+            UsageError: If the entry is not a number, or is too large.
         """
         entry = row.cells[self.key]
         if entry.lower() in _UNKNOWN_ENTRIES:
@@ -132,11 +134,11 @@ class NumberColumn:
             number = float(entry)
         except ValueError:
             number = math.inf
-        if not abs(number) <= self.largest:
-            problem = f"{entry[:60]!r} is not a number of at most {self.largest:g}"
-            hint = PLAIN_NUMBERS if entry[:1].isdigit() else NOT_MEASURED
+        if not abs(number) <= self.number_max:
+            problem = f"{entry[:60]!r} is not a number of at most {self.number_max:g}"
+            hint = PLAIN_NUMBERS_HINT if entry[:1].isdigit() else NOT_MEASURED_HINT
             if has_decimal_comma(entry):
-                hint = DECIMAL_COMMA
+                hint = DECIMAL_COMMA_HINT
             raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {problem}", hint)
         return number * self.factor
 
@@ -161,19 +163,19 @@ def split_header(header: str) -> tuple[str, str]:
 def find_factor(unit: str, units: Mapping[str, float]) -> float | None:
     """Return the factor of a unit, in any spelling. None if `units` does not contain the unit."""
     normalised = unit.strip().lower()
-    return units.get(SPELLINGS.get(normalised, normalised))
+    return units.get(UNIT_SPELLINGS.get(normalised, normalised))
 
 
 def find_column(
     path: Path, headers: Collection[str], names: Collection[str], units: Mapping[str, float]
 ) -> NumberColumn | None:
-    """Find the column with one of some names in one of some units.
+    """Find the column of a quantity, by its possible names and units.
 
     Args:
-        path: The table.
-        headers: The names of its columns.
-        names: The possible names, without units.
-        units: The possible units, with the factor to the wanted unit.
+        path: File of the table, for error messages.
+        headers: The names of the table's columns.
+        names: The possible names of the quantity, without units.
+        units: The possible units, with the factor from each unit to the needed unit.
 
     Returns:
         The column. None if no column has such a name.
@@ -229,7 +231,7 @@ def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angle
     if len(steps) and np.median(steps) <= 2 * math.pi and not may_wrap:
         return
     first_beyond = int(beyond_turn[0])
-    problem = turn_problem(float(angles[first_beyond]))
+    problem = describe_excess_angle(float(angles[first_beyond]))
     assert problem is not None
     message, hint = problem
     quantity = split_header(column.key)[0]
@@ -254,15 +256,15 @@ def create_order_error(path: Path, row: CsvRow, further_hint: str = "") -> Usage
     )
 
 
-def read_truth(path: Path, row: CsvRow, column: str) -> bool:
-    """Read a truth value in a column.
+def read_boolean(path: Path, row: CsvRow, column: str) -> bool:
+    """Read a truth value in a row of a table.
 
-    True if the table has no such column, or the entry is empty.
+    The result is True if the table has no such column, or if the entry is empty.
 
     Args:
-        path: The table.
+        path: File of the table, for error messages.
         row: The row.
-        column: The column.
+        column: Name of the column.
 
     Raises:
         UsageError: If the entry is neither true nor false.

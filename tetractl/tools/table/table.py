@@ -22,15 +22,15 @@ def create_decimal_format(decimals: int) -> Callable[[float], str]:
     return show
 
 
-def create_length_format(scale: float, finest: int = 9) -> Callable[[float], str]:
+def create_length_format(scale: float, decimals_max: int = 9) -> Callable[[float], str]:
     """Create a format with three significant digits for lengths of about `scale`.
 
-    The format has at least one decimal below 1000, and at most `finest` decimals.
+    The format has at least one decimal below 1000, and at most `decimals_max` decimals.
     """
     scale = abs(scale)
-    size = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
-    least = 1 if size < 3 else 0
-    return create_decimal_format(min(max(2 - size, least), finest))
+    exponent = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
+    decimals_min = 1 if exponent < 3 else 0
+    return create_decimal_format(min(max(2 - exponent, decimals_min), decimals_max))
 
 
 def format_digits(value: float) -> str:
@@ -50,7 +50,7 @@ def pluralize(noun: str, count: int) -> str:
 
 
 def join_listed(entries: Sequence[str], separator: str = ", ") -> str:
-    """Join at most LISTED texts into one line, followed by the number of the remaining ones."""
+    """Join at most LISTED_TEXTS_MAX texts into one line, and add how many more there are."""
     listed = separator.join(entries[:LISTED_TEXTS_MAX])
     unlisted = len(entries) - LISTED_TEXTS_MAX
     return f"{listed} and {unlisted} more" if unlisted > 0 else listed
@@ -84,8 +84,8 @@ class Column:
     Attributes:
         name: Name of the quantity. In a data file, the column is called `name_unit`.
         values: The values.
-        unit: Unit of the values.
-        format: Formats a value for people, below the heading "name [unit]".
+        unit: Unit of the values. Empty if they have none.
+        format: Function that formats a value for people, below the heading "name [unit]".
         words: Whether the column is left-aligned and may be wrapped. All others are numbers.
     """
 
@@ -122,7 +122,13 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns of equal length below a `title`, with a `note` as text below them."""
+    """A table of columns of equal length.
+
+    Attributes:
+        title: Title above the table.
+        columns: The columns, from left to right.
+        note: Text below the table. Empty if there is none.
+    """
 
     title: str
     columns: tuple[Column, ...]
@@ -130,7 +136,7 @@ class Table:
 
     @classmethod
     def of_texts(cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> Self:
-        """Create a table of texts.
+        """Create a table from rows of texts.
 
         A column that is empty in all rows is left out, unless it is the first. An entry is empty if
         it is "" or "-".
@@ -181,7 +187,11 @@ class Table:
         return len(self.columns[0].values) if self.columns else 0
 
     def with_first(self, **constants: Any) -> "Table":
-        """Return a copy of the table with more columns in front, each with a constant value."""
+        """Return a copy of the table with further columns in front, each with a constant value.
+
+        Args:
+            **constants: The value of each further column, by name.
+        """
         constant_columns = (Column(name, [value] * len(self)) for name, value in constants.items())
         return Table(self.title, (*constant_columns, *self.columns), self.note)
 

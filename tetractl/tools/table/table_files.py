@@ -52,7 +52,7 @@ def _format_cells(values: Sequence[Any]) -> list[str]:
     """Format the values of a column as entries of a CSV file. None and NaN become empty entries."""
     from pydantic_core import to_json  # slow to import, and not needed by most commands
 
-    def cell(value: Any) -> str:
+    def format_cell(value: Any) -> str:
         if value is None or value != value:
             return ""
         if isinstance(value, bool):
@@ -66,7 +66,7 @@ def _format_cells(values: Sequence[Any]) -> list[str]:
             return format_csv_entry(value)
         return str(value)
 
-    return [cell(value) for value in values]
+    return [format_cell(value) for value in values]
 
 
 @lru_cache  # columns repeat their words
@@ -227,9 +227,9 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             row |= flatten(value, f"{flat_key}_")
         elif key == "ci95":
-            low, high = value or (None, None)
-            row[f"{prefix}low"] = low
-            row[f"{prefix}high"] = high
+            lower_end, upper_end = value or (None, None)
+            row[f"{prefix}low"] = lower_end
+            row[f"{prefix}high"] = upper_end
         elif isinstance(value, list | tuple):
             row[flat_key] = "; ".join(map(str, value))
         else:

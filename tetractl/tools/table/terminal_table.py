@@ -54,9 +54,11 @@ def open_console(stderr: bool = False, quiet: bool = False) -> "Console":
 
 
 def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:
-    """Print tables to a terminal, or as plain text of WIDTH characters if there is none.
+    """Print tables to a terminal, or as plain text of DEFAULT_WIDTH characters if there is none.
 
-    By default, they are printed to stdout.
+    Args:
+        tables: The tables.
+        console: Console of the library rich. None for stdout.
     """
     console = console or open_console()
     for table in tables:
@@ -140,12 +142,12 @@ def format_markdown(tables: Sequence[Table]) -> str:
     """Format tables as text in Markdown. The note of a table becomes a list below it."""
     blocks = []
     for table in tables:
-        first, *others = table.columns
-        rule = ["---", *("---" if column.words else "---:" for column in others)]
+        first_column, *other_columns = table.columns
+        rule_cells = ["---", *("---" if column.words else "---:" for column in other_columns)]
         blocks.append(f"**{_escape_markdown(table.title)}**\n")
         blocks += [
             "| " + " | ".join(map(_escape_markdown, cells)) + " |"
-            for cells in ([first.heading, *table.header[1:]], rule, *table.rows)
+            for cells in ([first_column.heading, *table.header[1:]], rule_cells, *table.rows)
         ]
         blocks += ["", *(f"- {_escape_markdown(cells)}" for cells in table.note.splitlines()), ""]
     return "\n".join(blocks)
@@ -224,14 +226,14 @@ def _format_html_table(table: Table, links: Mapping[str, str]) -> str:
 
     header_cells = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     rows = ""
-    for first, *entries in table.rows:
+    for first_entry, *entries in table.rows:
         cells = ""
         for entry in entries:
             entry_class = (
                 ' class="short"' if len(entry) <= SHORT_ENTRY_MAX else ""
             )  # such as "20 and 20"
             cells += f"<td{entry_class}>{escape(entry)}</td>"
-        rows += f'<tr><th scope="row">{link(first)}</th>{cells}</tr>'
+        rows += f'<tr><th scope="row">{link(first_entry)}</th>{cells}</tr>'
     table_class = ' class="words"' if table.words else ""
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
     note_html = "<br>".join(map(escape, table.note.splitlines()))

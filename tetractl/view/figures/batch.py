@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from tetractl.core.errors import LogError, unit_of
+from tetractl.core.errors import LogError, format_unit
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.spec.experiment import Experiment
@@ -98,7 +98,7 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
         finite = [(path, error) for path, error in errors if math.isfinite(error)]
         totals = np.array([error for _, error in finite])
         paths = [path for path, _ in finite]
-        batches.append(BatchErrors(name, totals, paths, trials[0].experiment.directions_given))
+        batches.append(BatchErrors(name, totals, paths, trials[0].experiment.gives_directions))
     return _draw_panels(batches, logs[0].experiment, {}, narrow=False)
 
 
@@ -118,7 +118,7 @@ def batch_figure(
     batches: list[BatchErrors] = []
     for group in groups:
         paths = [trial.log for trial in group.batch.trials if is_counted(trial)]
-        no_controller = group.experiment.directions_given
+        no_controller = group.experiment.gives_directions
         batches.append(BatchErrors(group.name, group.totals, paths, no_controller))
     figure = _draw_panels(batches, groups[0].experiment, links or {}, narrow)
     with_errors = [group for group in groups if group.counted]
@@ -151,7 +151,7 @@ def _draw_panels(
         figure = style.figure(style.PAGE_IN, 3.0)
         dots, distributions_panel = figure.subplots(1, 2, width_ratios=[1, 1.1])
         dots_width_in = 0.4 * style.PAGE_IN
-    error = f"total error [{unit_of(experiment.units.length)}]"
+    error = f"total error [{format_unit(experiment.units.length)}]"
     style.panel(dots, "a", "each trial, and the mean", y=error)
     style.panel(distributions_panel, "b", "fraction of trials with at most an error", error)
     totals = np.concatenate([batch.totals for batch in with_errors])

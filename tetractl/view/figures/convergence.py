@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from tetractl.core.errors import unit_of
+from tetractl.core.errors import format_unit
 from tetractl.core.plan import Search
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
@@ -38,7 +38,7 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
     axes = figure.subplots()
     _draw_searches(axes, step)
     axes.set_title(f"control step {step.k}", loc="left")
-    axes.set(xlabel="iteration z", ylabel=f"$J(u_{{gb}})$ [{unit_of(log.start.setup.unit)}]")
+    axes.set(xlabel="iteration z", ylabel=f"$J(u_{{gb}})$ [{format_unit(log.start.setup.unit)}]")
     return figure
 
 

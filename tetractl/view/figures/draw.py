@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import FIGURES
-from tetractl.spec.packages import not_installed
+from tetractl.spec.packages import explain_missing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +20,7 @@ def check_kind(kind: str) -> None:
         UsageError: If there is no such figure, or if its package is not installed.
     """
     if kind not in FIGURES:
-        missing_package = not_installed(FIGURES.group, kind)
+        missing_package = explain_missing(FIGURES.group, kind)
         if missing_package is not None:
             reason, hint = missing_package
             raise UsageError(f"{kind}: {reason}", hint)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from tetractl.core.errors import UsageError, unit_of
+from tetractl.core.errors import UsageError, format_unit
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
@@ -100,7 +100,7 @@ def _of_trial(log: TrialLog) -> Figure:
     need_frames(log)
     time_s = log.frames_s
     setup = log.start.setup
-    unit = unit_of(setup.unit)
+    unit = format_unit(setup.unit)
     gaps = setup.distances(log.positions)
     ends = setup.distances(final_poses(log)[:, :2])
     # only the names show the last values, which are the result's
@@ -167,7 +167,7 @@ def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time
         color = style.GREY if complete else style.ALARM
         of_total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
     middle, band = _quartiles(counted.sum(axis=2))
-    name = f"median {middle[-1]:.3g} {unit_of(setup.unit)}"
+    name = f"median {middle[-1]:.3g} {format_unit(setup.unit)}"
     median = [Curve(middle, style.WHOLE, name, "median", band, "median", 1.5)]
     draw_curves(of_total, time_s, median)
     medians, bands = _quartiles(counted)
@@ -221,7 +221,7 @@ def _panels(
     places = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     for index, axes in enumerate(places):
         axes.sharey(places[index % 2])
-        axes.set(ylabel=f"error [{unit_of(setups[0].unit)}]", xlim=(0, end_s))
+        axes.set(ylabel=f"error [{format_unit(setups[0].unit)}]", xlim=(0, end_s))
     places[-1].set_xlabel(SINCE)
     return figure, places.reshape(-1, 2)
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.core.errors import LogError, unit_of
+from tetractl.core.errors import LogError, format_unit
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
@@ -201,7 +201,7 @@ def _estimated_quantities(log: TrialLog) -> list[_Quantity]:
             true=_read_true_values(log, "a"),
         ),
         _Quantity(
-            f"speed, at the end in {unit_of(setup.unit)}/s",
+            f"speed, at the end in {format_unit(setup.unit)}/s",
             difference,
             _stack_estimates([estimate.speed for estimate in estimates]),
             _stack_estimates([estimate.speed_std for estimate in estimates]),

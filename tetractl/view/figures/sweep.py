@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
-from tetractl.core.errors import unit_of
+from tetractl.core.errors import format_unit
 from tetractl.statistics.estimate import ArmErrors, Interval, are_numeric
 from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
@@ -73,7 +73,7 @@ def study_errors_figure(
     if not field:
         name_categories(axes, [arm.label for arm in all_arms], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
-    axes.set_ylabel(f"total error [{unit_of(unit)}]")
+    axes.set_ylabel(f"total error [{format_unit(unit)}]")
     if not is_logarithmic:
         axes.set_ylim(bottom=0)
     style.grid_of_heights(axes)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import unit_of
+from tetractl.core.errors import format_unit
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
@@ -163,7 +163,7 @@ def draw_scene(
         trails: The measured trails, shape (M, N, 2) each, where the starts are taken from.
     """
     setup = setups[0]
-    unit = unit_of(setup.unit)
+    unit = format_unit(setup.unit)
     arena = setup.arena
     axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
@@ -412,7 +412,7 @@ def _compose_heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[
         ends: Positions of the robots at the end of each trial, shape (T, N, 2).
     """
     setup = logs[0].start.setup
-    unit = unit_of(setup.unit)
+    unit = format_unit(setup.unit)
     errors = np.array([log.start.setup.distances(end) for log, end in zip(logs, ends, strict=True)])
     names = robot_labels(setup.names)
     folders = {log.log.rpartition("/")[0] for log in logs}

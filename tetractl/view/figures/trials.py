@@ -65,7 +65,7 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
 
     def scene(log: TrialLog) -> tuple[object, ...]:
         spec = log.experiment
-        return spec.asked, spec.arena, spec.obstacles, spec.units
+        return spec.stated_robots, spec.arena, spec.obstacles, spec.units
 
     for log in logs[1:]:
         if scene(log) != scene(logs[0]):

@@ -298,7 +298,7 @@ class Dashboard:
         step = self._moment.step
         if step is None or not step.plan.estimate:
             return []
-        return step.plan.estimate.standing(self._moment.setup.names)
+        return step.plan.estimate.list_standing(self._moment.setup.names)
 
     def _total_lines(self, width: int) -> list[Text]:
         """Return a line with the total error, and a small curve of it at each step so far."""

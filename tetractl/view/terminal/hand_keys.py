@@ -242,7 +242,7 @@ def read_script(path: Path) -> KeyScript:
     """
     keys: list[tuple[float, str]] = []
     last_s = 0.0
-    text = read_text(path, what="keys are lines of text").removeprefix(BYTE_ORDER_MARK)
+    text = read_text(path, expected="keys are lines of text").removeprefix(BYTE_ORDER_MARK)
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         if not words:

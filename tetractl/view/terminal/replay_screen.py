@@ -214,7 +214,7 @@ def step_line(recording: Recording, index: int) -> str:
         degrees = math.degrees(math.remainder(step.command.direction, math.tau))
         direction = f"{degrees:+.1f} deg"
         state = "" if plan.state is State.DRIVING else f"  {plan.state}"
-    standing = plan.estimate.standing(setup.names) if plan.estimate else []
+    standing = plan.estimate.list_standing(setup.names) if plan.estimate else []
     if standing:
         state += f"  {', '.join(standing)}: standing"
     time_s = recording.log.elapsed_s(int(recording.step_ns[index]))

@@ -12,7 +12,7 @@ from tetractl_emulator.rehearsal import day_plan
 
 from tetractl.control.methods.build import warm_up
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 pytestmark = [pytest.mark.system, pytest.mark.release]
 
@@ -37,7 +37,7 @@ def plans_of_each_fault(lab, setup):
 
 
 def test_days_on_which_each_fault_of_the_table_is_met_break_nothing(monkeypatch):
-    experiment = on_plant(load_spec(SPEC), "emulated").experiment
+    experiment = select_plant(load_spec(SPEC), "emulated").experiment
     warm_up(experiment, print)
     plans = plans_of_each_fault(experiment.plant, experiment.setup)
     monkeypatch.setattr(day_plan, "plan_of_day", lambda seed, number, *_: plans[number])

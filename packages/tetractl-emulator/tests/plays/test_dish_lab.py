@@ -68,7 +68,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     setup = log.experiment.setup
     result = log.result
     assert result.outcome.complete, result.reason
-    assert not log.experiment.open
+    assert not log.experiment.must_choose_robots
     assert log.experiment.chosen.found
     final = result.verdict.final.array()
     assert setup.distances(final[:, :2]).sum() < 200

@@ -17,7 +17,7 @@ from tetractl.core.commands import Steer, Stop
 from tetractl.core.protocols import Health, LabSupervision
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 pytestmark = pytest.mark.slow
 
@@ -165,7 +165,7 @@ def test_a_drive_that_a_stop_follows_within_the_same_step_of_the_clock_is_record
     """Regression: a full disk stopped robots as they set off again, and a rehearsal saw them driven
     after the end of the run, which it took the rest before for.
     """
-    spec = on_plant(load_spec(SPEC), "emulated").experiment
+    spec = select_plant(load_spec(SPEC), "emulated").experiment
     section = spec.plant.model_copy(update={"record": str(tmp_path)})
     of_trial = np.random.SeedSequence(1, spawn_key=(0,))
     plant = section.build(spec.setup, section.clock(), of_trial, LabSupervision())

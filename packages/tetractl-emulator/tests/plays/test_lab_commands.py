@@ -14,7 +14,7 @@ from tetractl.lab.cobs import Flag
 from tetractl.log.read.reader import read_trial
 from tetractl.spec.lab_section import entry
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import calibrated, on_plant
+from tetractl.spec.plants import apply_calibration, select_plant
 
 pytestmark = pytest.mark.slow
 
@@ -177,7 +177,9 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
         tmp_path, "lab", "calibrate", str(SPEC), "--robot", "green", "--yes", *flags(settings)
     ).ok()
     text = (tmp_path / "calibration.yaml").read_text()
-    lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml").plant
+    lab = apply_calibration(
+        select_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml"
+    ).plant
     green = entry(lab.actuator.robots, "green")
     assert green.swap
     assert green.left.invert is True
@@ -213,7 +215,9 @@ def test_calibrate_drives_robots_that_take_lines_too(tmp_path):
     tetractl(tmp_path, *words, *flags((*SMALL, *sets))).ok()
     text = (tmp_path / "calibration.yaml").read_text()
     spec = load_spec(SPEC, sets[:1])
-    green, *_ = calibrated(on_plant(spec, "lab").experiment, text, "c.yaml").plant.actuator.robots
+    green, *_ = apply_calibration(
+        select_plant(spec, "lab").experiment, text, "c.yaml"
+    ).plant.actuator.robots
     radius = spec.experiment.setup.wheel_radius * spec.experiment.setup.metres * 1000
     assert green.left_gain == pytest.approx(0.9, rel=0.02)
     assert green.right_gain == pytest.approx(1.1, rel=0.02)

@@ -8,12 +8,12 @@ import pytest
 from testkit.cli import tetractl
 from testkit.emulator.silent_labs import flagged_trials
 
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl.spec.yaml.document import read_document
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
-LABS = {name: file for name, file in examples().items() if "lab" in read_document(file).data}
+LABS = {name: file for name, file in find_examples().items() if "lab" in read_document(file).data}
 TEMPLATES = [
     ("m3pi-xbee", "optitrack"),
     ("twist", "optitrack"),

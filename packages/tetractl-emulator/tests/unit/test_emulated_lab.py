@@ -16,7 +16,7 @@ from tetractl.core.errors import SpecError, TetractlError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 from tetractl.spec.load import parse_spec
-from tetractl.spec.plants import lab_of
+from tetractl.spec.plants import get_lab
 
 SETUP = parse_spec(SPEC, "lab.yaml").experiment.setup
 OPEN = []
@@ -35,7 +35,7 @@ class Bench:
 
     def __init__(self, folder=None, script="", process_of=None, spec=SPEC, **options):
         loaded = parse_spec(spec, "lab.yaml")
-        lab = lab_of(loaded.experiment, loaded.name)
+        lab = get_lab(loaded.experiment, loaded.name)
         self.record = folder / "record.jsonl" if folder else None
         self.reported = []
         clock = LabClock()

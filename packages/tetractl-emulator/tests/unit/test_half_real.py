@@ -13,7 +13,7 @@ from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.inner_loop import InnerLoop
-from tetractl.spec.lab_section import STOPS
+from tetractl.spec.lab_section import STOP_COUNT
 
 
 def test_an_emulated_radio_that_fails_keeps_no_stop_from_the_real_robots():
@@ -28,7 +28,7 @@ def test_an_emulated_radio_that_fails_keeps_no_stop_from_the_real_robots():
     loop = InnerLoop(lab.camera, both, guard, lab.clock, threading.Event(), threading.Event())
     first = loop.stop()
     stops = lab.actuator.sent
-    assert len(stops) == STOPS
+    assert len(stops) == STOP_COUNT
     assert first is stops[0]
 
 

@@ -15,7 +15,7 @@ from tetractl_emulator.rehearsal.day_plan import DayPlan
 
 from tetractl.core.plan import Outcome
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 pytestmark = pytest.mark.slow
 
@@ -238,7 +238,7 @@ def test_only_a_day_that_violates_an_invariant_leaves_a_script(monkeypatch, tmp_
 )
 def test_a_robot_stops_after_the_watchdog_of_the_spec(watchdog, watchdog_s):
     sets = (watchdog,) if watchdog else ()
-    experiment = on_plant(load_spec(SPEC, sets), "emulated").experiment
+    experiment = select_plant(load_spec(SPEC, sets), "emulated").experiment
     if watchdog is None and experiment.wheels is not None:
         watchdog_s = experiment.wheels.watchdog or WATCHDOG_S
     day = DayOutcome(DayPlan(1, {}, []), [], 1, REFUSED, None, "", 1.0)
@@ -249,7 +249,7 @@ def test_a_robot_stops_after_the_watchdog_of_the_spec(watchdog, watchdog_s):
 
 def test_cells_are_observed_by_the_invariants_that_hold_for_cells():
     pytest.importorskip("cv2")
-    dish = on_plant(load_spec(EXAMPLES / "tetrahymena_dish.yaml"), "emulated").experiment
+    dish = select_plant(load_spec(EXAMPLES / "tetrahymena_dish.yaml"), "emulated").experiment
     moving = [at(1.0 + k / 60, "truth", poses=[], unseen_ms=[], frame=1) for k in range(3)]
     day = DayOutcome(DayPlan(1, {}, []), moving, 1, "", None, "", 1.0)
     truth, violations = observe_day(day, dish, dish.plant)

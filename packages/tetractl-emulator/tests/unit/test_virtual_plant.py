@@ -13,11 +13,11 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer, Stop
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.protocols import LabSupervision
-from tetractl.core.trial import EMULATED_DEVICES, REAL_DEVICE
+from tetractl.core.trial import EMULATED_DEVICES_FACT, REAL_DEVICE_FACT
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
-EXPERIMENT = on_plant(load_spec(SPEC), "emulated").experiment
+EXPERIMENT = select_plant(load_spec(SPEC), "emulated").experiment
 DOUBLED = {"about": "doubled", "faults": [{"fault": "doubled_frames", "since": "start"}]}
 
 
@@ -38,10 +38,10 @@ def test_time_is_virtual_unless_a_device_is_real(real, real_time, devices):
     assert made.real_time == real_time
     assert made.emulated_devices == devices
     assert type(made.clock()) is (LiveClock if real_time else LabClock)
-    halves = {} if real is None else {REAL_DEVICE: real, EMULATED_DEVICES: devices[0]}
+    halves = {} if real is None else {REAL_DEVICE_FACT: real, EMULATED_DEVICES_FACT: devices[0]}
     assert made.halves() == halves
     assert halves.items() <= made.bounds().items()
-    assert (REAL_DEVICE in made.bounds()) == real_time
+    assert (REAL_DEVICE_FACT in made.bounds()) == real_time
 
 
 def test_only_real_robots_cannot_be_calibrated():
@@ -93,7 +93,7 @@ class Trial:
 def test_a_plan_takes_no_time_unless_the_computer_is_busy():
     with Trial() as trial:
         assert trial.info.kind == "emulated"
-        assert REAL_DEVICE not in trial.info.facts
+        assert REAL_DEVICE_FACT not in trial.info.facts
         assert trial.plan_s() < 0.005
         busy = act(trial.clock.acting, "busy", seconds=0.04, every=2)
         took = [trial.plan_s() for _ in range(4)]
@@ -155,7 +155,7 @@ def test_a_signal_and_an_emergency_stop_reach_the_supervision_of_the_trial():
 @pytest.mark.parametrize("real", ["camera", "actuator"])
 def test_devices_that_are_one_cannot_be_real_and_emulated_one_by_one(real):
     pytest.importorskip("cv2")
-    dish = on_plant(load_spec(EXAMPLES / "tetrahymena_dish.yaml"), "emulated").experiment
+    dish = select_plant(load_spec(EXAMPLES / "tetrahymena_dish.yaml"), "emulated").experiment
     made = dish.plant.model_copy(update={"real": real})
     with pytest.raises(AbortError, match="cannot be real while the other is emulated"):
         made.rig(dish.setup, LabClock(), np.random.SeedSequence(1))

@@ -13,11 +13,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.wheel_commands import radii_mm, wheels_by_speed
 from tetractl.spec.base import Finite, Model, Name, Point, Positive
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS, LabSection, entry
 from tetractl_emulator.fault_rows import (
     DEFAULT_COMMAND_HZ,
     LINK_REASONS,
@@ -152,7 +152,7 @@ class WheeledSide(PluggedDevices):
             A function that ends the fault.
         """
         period_ns = round(SECOND / fault.rate)
-        end_ns = NEVER
+        end_ns = NEVER_NS
 
         def send(number: int) -> None:
             if self.timeline.now_ns >= end_ns:
@@ -171,7 +171,7 @@ class WheeledSide(PluggedDevices):
 
     def stop_from_other_program(self) -> None:
         """Send ten emergency stops to the robots from now on, as if from another program."""
-        for i in range(STOPS):
+        for i in range(STOP_COUNT):
             for radio in self.radios:
                 at_ns = self.timeline.now_ns + i * STOP_GAP_NS
                 self.timeline.at(at_ns, lambda i=i, radio=radio: radio.stop_from_other_program(i))

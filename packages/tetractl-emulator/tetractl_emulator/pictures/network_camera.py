@@ -22,7 +22,7 @@ import cv2
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import TetractlError
-from tetractl.core.poses import Grey
+from tetractl.core.poses import GreyImage
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.tools.worker import POLL_S
 from tetractl_emulator.faults import ActingFaults
@@ -67,7 +67,7 @@ class PictureStream:
 
     def __init__(
         self,
-        draw: Callable[[int], Grey],
+        draw: Callable[[int], GreyImage],
         rate_hz: float = 30.0,
         exposure_s: float = 0.0,
         latency_s: float = 0.0,
@@ -255,7 +255,7 @@ def url_at(port: int) -> str:
     return f"http://127.0.0.1:{port}/"
 
 
-def coded(picture: Grey, quality: int = 90) -> bytes:
+def coded(picture: GreyImage, quality: int = 90) -> bytes:
     """Encode a grey image as the bytes of a JPEG file; `quality` is from 0 to 100."""
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 

@@ -19,7 +19,7 @@ from pydantic import Field
 from tetractl_microscope.pictures.picture_section import DeviceSource, MjpegSource, PictureSection
 
 from tetractl.core.errors import SpecError
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Floats, GreyImage
 from tetractl.spec.base import Model, NonNegative, Positive
 from tetractl_emulator.fault_rows import (
     NO_REASON,
@@ -268,7 +268,7 @@ class StreamedCamera(ABC):
         return [not are_carried and body.name not in covered_names for body in self._bodies]
 
     @abstractmethod
-    def _draw(self, exposed_ns: int) -> Grey:
+    def _draw(self, exposed_ns: int) -> GreyImage:
         """Draw the image of an exposure, using `_scene_at`. Called in the camera's thread."""
 
     def open(self, loop: Loop) -> Facts:
@@ -311,7 +311,7 @@ class StreamedCamera(ABC):
         """React to a client that starts to read. By default, nothing happens."""
         return
 
-    def _draw_exposure(self, exposed_ns: int) -> Grey:
+    def _draw_exposure(self, exposed_ns: int) -> GreyImage:
         """Draw the image of an exposure at a time [ns]. In memory, also record what it shows."""
         if self._shown_bodies is not None:
             self._shown_bodies.expose(exposed_ns, self._visible_now())

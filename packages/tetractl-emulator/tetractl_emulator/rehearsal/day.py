@@ -23,7 +23,7 @@ from typing import Any, NoReturn
 
 from tetractl.cli.app import run_app
 from tetractl.run.interrupt import SIGNAL_LISTENER
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.yaml.core_yaml import format_yaml
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
 HANGS_S = 600.0
@@ -105,7 +105,7 @@ def run_day(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day
         folder: An empty folder for the files of the test run.
     """
     files = DayFolder(folder)
-    files.script.write_text(dump(plan.script()))
+    files.script.write_text(format_yaml(plan.script()))
     arguments = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
     arguments += ["--seed", str(plan.seed), "--out", str(files.logs)]
     plant_sets = f"plant.faults={files.script.resolve()}", f"plant.record={folder}"

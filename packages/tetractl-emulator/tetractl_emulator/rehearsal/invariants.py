@@ -625,7 +625,7 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
     fault may have been the cause, and for readings of a mat, which also repeat while a robot stands
     still.
     """
-    if truth.setup.sight.coarse or truth.trial is None:
+    if truth.setup.sight.has_grid or truth.trial is None:
         return
     rows = np.unique(truth.logged_exposures).tolist()
     ready_s = [time_s(event) for event in truth.events("guard", state="ready")]
@@ -662,7 +662,7 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
     reported. Readings of a mat have the times of their arrival. Therefore, a reading until
     `READING_WAITS_S` after the beginning may come from before the fault.
     """
-    arrives_s = READING_WAITS_S if truth.setup.sight.coarse else 2 * FRAME_S
+    arrives_s = READING_WAITS_S if truth.setup.sight.has_grid else 2 * FRAME_S
     for fault in hiding_faults(truth):
         began_s = fault.span.began_s + arrives_s
         ended_s = fault.span.ended_s - 2 * FRAME_S

@@ -506,7 +506,7 @@ class Truth:
 
         This is the case if the camera measures on a grid, and a fault repeated its poses or frames.
         """
-        return self.setup.sight.coarse and self.had_fault("repeat", "freeze")
+        return self.setup.sight.has_grid and self.had_fault("repeat", "freeze")
 
     @cached_property
     def has_frame_numbers(self) -> bool:
@@ -519,7 +519,7 @@ class Truth:
 
         For example, the readings of a mat only have times of arrival.
         """
-        return self.has_frame_numbers and not self.setup.sight.coarse
+        return self.has_frame_numbers and not self.setup.sight.has_grid
 
     @cached_property
     def hidden_delay_s(self) -> float:

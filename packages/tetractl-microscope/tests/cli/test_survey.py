@@ -17,11 +17,11 @@ from tetractl_microscope.handedness import Handedness
 from tetractl.core.poses import Pose
 from tetractl.plant.lab_plant import RigSection
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = EXAMPLES / "tetrahymena_dish.yaml"
 LISTED = EXAMPLES / "tetrahymena_lab.yaml"
-EXPERIMENT = on_plant(load_spec(SPEC), "lab").experiment
+EXPERIMENT = select_plant(load_spec(SPEC), "lab").experiment
 RIGHT = Handedness(cells=5, mirrored=False, turned=0.02, turned_sd=0.01, explained=0.9)
 
 
@@ -150,7 +150,7 @@ def test_the_field_of_a_real_lab_turns_only_with_consent(dish, tmp_path):
 
 
 def test_a_spec_that_lists_its_robots_has_no_cells_to_choose(dish, tmp_path):
-    assert not load_spec(LISTED).experiment.open
+    assert not load_spec(LISTED).experiment.must_choose_robots
     done = survey(tmp_path, spec=LISTED)
     assert done.returncode == 2
     assert "robots: {choose: N, ...}" in done.stderr

@@ -10,7 +10,7 @@ from tetractl_microscope.choice.section import Choice, choice_of
 from tetractl.core.errors import SpecError
 from tetractl.log.read.reader import read_trial
 from tetractl.run.logged_trial import run_logged
-from tetractl.spec.experiment import packages
+from tetractl.spec.experiment import find_packages
 from tetractl.spec.load import load_spec, parse_spec
 
 SPEC = """
@@ -28,8 +28,8 @@ def test_a_choice_has_stand_ins_in_the_middle_until_a_trial_has_found_its_robots
     assert [robot.name for robot in experiment.robots] == ["cell 1", "cell 2", "cell 3"]
     assert {robot.start for robot in experiment.robots} == {(1500.0, 1500.0)}
     assert experiment.robots[0].target == (2000.0, 1500.0)
-    assert experiment.open
-    assert choice_of(experiment) == experiment.asked
+    assert experiment.must_choose_robots
+    assert choice_of(experiment) == experiment.stated_robots
 
 
 def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
@@ -40,11 +40,11 @@ def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
     first = read_trial(tmp_path / "one" / "trial-000.mcap")
     again = read_trial(tmp_path / "two" / "trial-000.mcap")
     assert first.experiment == again.experiment
-    assert not first.experiment.open
-    assert first.experiment.asked == spec.experiment.asked
+    assert not first.experiment.must_choose_robots
+    assert first.experiment.stated_robots == spec.experiment.stated_robots
     a = np.array([robot.a for robot in first.experiment.robots])
     assert (np.diff(a) < 0).all()
-    assert packages(first.experiment).keys() == {"tetractl-microscope"}
+    assert find_packages(first.experiment).keys() == {"tetractl-microscope"}
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_a_choice_that_is_wrong_is_one_line(robots, line):
 
 def test_only_a_cell_among_others_can_be_replaced():
     experiment = parse_spec(SPEC + "on_lost: replace\n", "three.yaml").experiment
-    assert experiment.setup.loss.replaced
+    assert experiment.setup.loss.replaces_lost
     with pytest.raises(SpecError, match="on_lost"):
         parse_spec(SPEC + ROUND + "on_lost: replace\n", "three.yaml")
 

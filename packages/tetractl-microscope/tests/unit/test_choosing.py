@@ -160,7 +160,7 @@ def test_chosen_cells_are_robots_at_their_places_with_targets_without_crossing_w
     assert (first.name, first.start, first.heading) == ("cell 1", (2400.0, 900.0), 1.5)
     assert (first.a, first.speed, first.target) == (5.0, 380.0, (2500.0, 1000.0))
     assert (second.name, second.target) == ("cell 2", (500.0, 1000.0))
-    assert not experiment.open and EXPERIMENT.open
+    assert not experiment.must_choose_robots and EXPERIMENT.must_choose_robots
     assert experiment.setup.a.tolist() == [5.0, 3.0]
     assert EXPERIMENT.setup.a.tolist() == [4.0, 4.0]
 

@@ -26,7 +26,10 @@ def test_what_the_camera_adds_is_logged_as_it_is_with_the_times_of_its_frame(fil
         for sample in samples
         for topic, data in sample.messages
     ]
-    logged = [*log.entries_by_topic[channels.PICTURE], *log.entries_by_topic[channels.BACKGROUND]]
+    logged = [
+        *log.entries_by_topic[channels.PICTURE_TOPIC],
+        *log.entries_by_topic[channels.BACKGROUND_TOPIC],
+    ]
     assert sorted(map(tuple, logged)) == sorted(added)
-    assert {topic for topic, *_ in added} == {channels.PICTURE, channels.BACKGROUND}
+    assert {topic for topic, *_ in added} == {channels.PICTURE_TOPIC, channels.BACKGROUND_TOPIC}
     assert verify(path).problems == ()

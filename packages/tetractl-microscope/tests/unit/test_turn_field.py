@@ -19,10 +19,10 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ("robots.seconds=4",))
-EXPERIMENT = on_plant(SPEC, "lab").experiment
+EXPERIMENT = select_plant(SPEC, "lab").experiment
 CHOICE = choice_of(EXPERIMENT)
 BEGIN_S = 48.0
 """Time of the lab's clock when the field begins to turn."""

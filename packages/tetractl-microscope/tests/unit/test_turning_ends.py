@@ -17,12 +17,12 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.plant.lab_plant import RigSection
-from tetractl.spec.lab_section import STOPS
+from tetractl.spec.lab_section import STOP_COUNT
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 SPEC = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ("robots.seconds=4",))
-EXPERIMENT = on_plant(SPEC, "lab").experiment
+EXPERIMENT = select_plant(SPEC, "lab").experiment
 
 
 def together(rules):
@@ -97,7 +97,7 @@ def test_a_field_that_turns_is_stopped_before_the_camera_is_closed(
     end(dish)
     with pytest.raises(error):
         turn(dish)
-    assert stops_before[0] >= STOPS
+    assert stops_before[0] >= STOP_COUNT
 
 
 def test_an_emergency_stop_while_the_field_turns_is_sent_ten_times(dish):
@@ -105,11 +105,11 @@ def test_an_emergency_stop_while_the_field_turns_is_sent_ten_times(dish):
     press_the_key(dish)
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         survey(dish)
-    assert dish.actuator.emergencies >= STOPS
+    assert dish.actuator.emergencies >= STOP_COUNT
 
 
 def test_a_field_is_stopped_if_no_cell_can_be_chosen(dish, stops_before):
     """Regression: it turned on until camera and loop were closed."""
     with pytest.raises(AbortError, match="0 of 0 cells respond to the field"):
         prepare_a_trial(dish)
-    assert stops_before == [STOPS]
+    assert stops_before == [STOP_COUNT]

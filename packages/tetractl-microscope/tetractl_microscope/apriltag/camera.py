@@ -9,12 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.poses import Floats, Grey, Pose
+from tetractl.core.poses import Floats, GreyImage, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.spec.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting
-from tetractl_microscope.apriltag.floor import CORNER_PX, MISFIT_MM, MM, SQUARE, Floor, Plane
+from tetractl_microscope.apriltag.floor import (
+    CORNER_PX,
+    MILLIMETRE_M,
+    MISFIT_MM,
+    SQUARE,
+    Floor,
+    Plane,
+)
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.searches import PictureSearch, stated
@@ -74,7 +81,7 @@ class Tracker:
         highest = max(robot.height_mm for robot in self.robots)
         self.floor = Floor(section.floor, metres, section.lens, highest)
 
-    def track_image(self, picture: Grey) -> Seen:
+    def track_image(self, picture: GreyImage) -> Seen:
         """Find the tags in a grey image (height, width), and compute the poses of the robots.
 
         If a number is seen on two tags, both are ignored: the robot with this tag is untracked, or
@@ -118,12 +125,12 @@ class Tracker:
         plane = self.floor.plane
         if sighting is None or plane is None:
             return None, None
-        corners = plane.locate(sighting.corners, robot.height_mm * MM)
+        corners = plane.locate(sighting.corners, robot.height_mm * MILLIMETRE_M)
         pose, side_m = self._fit_pose(corners, robot.heading_offset)
-        relative_size = side_m / (robot.size_mm * MM)
+        relative_size = side_m / (robot.size_mm * MILLIMETRE_M)
         if abs(relative_size - 1) >= SIZE_DEVIATION_MAX:
             return None, relative_size
-        stance = plane.height_and_tilt(sighting.corners, robot.size_mm * MM)
+        stance = plane.height_and_tilt(sighting.corners, robot.size_mm * MILLIMETRE_M)
         if stance is not None:
             height, tilt = stance
             measures_height = sighting.side_px >= HEIGHT_SIDE_MIN_PX
@@ -323,6 +330,6 @@ class AprilTagCamera(PictureCamera[Seen]):
             facts["smallest_tag"] = f"{min(sides):.0f} px"
         return Health(tuple(problems), tuple(warnings), facts)
 
-    def _see(self, picture: Grey, exposed_ns: int) -> Seen:
+    def _see(self, picture: GreyImage, exposed_ns: int) -> Seen:
         """Find the robots' tags in an image. `exposed_ns` is not used."""
         return self._tracker.track_image(picture)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Floats, GreyImage
 
 MODULES = 8  # side of a tag in modules, including the black border
 TAG_ZERO_BITS = (
@@ -58,7 +58,7 @@ class Detector:
         self._detector = cv2.aruco.ArucoDetector(_tag_dictionary(), parameters)
         self._top_left = _top_left_corner(self._detector)
 
-    def find(self, picture: Grey) -> list[Sighting]:
+    def find(self, picture: GreyImage) -> list[Sighting]:
         """Find all tags in an image. If two tags have the same number, both are returned.
 
         The list is empty if there are none.
@@ -83,7 +83,7 @@ class Detector:
         ]
 
 
-def tag_picture(number: int) -> Grey:
+def tag_picture(number: int) -> GreyImage:
     """Draw a tag as printed by the AprilTag project.
 
     Returns:
@@ -111,7 +111,7 @@ def _tag_dictionary() -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 
 
-def _draw_tag(number: int) -> Grey:
+def _draw_tag(number: int) -> GreyImage:
     """Draw a tag with OpenCV, shape (8, 8), 0 or 255.
 
     It may be rotated relative to the AprilTag project's images.
@@ -119,7 +119,7 @@ def _draw_tag(number: int) -> Grey:
     return cv2.aruco.generateImageMarker(_tag_dictionary(), number, MODULES).astype(np.uint8)
 
 
-def _draw_tag_zero() -> Grey:
+def _draw_tag_zero() -> GreyImage:
     """Draw the AprilTag project's tag 0, one pixel per module, shape (8, 8)."""
     inside = [TAG_ZERO_BITS >> (35 - k) & 1 for k in range(36)]
     return np.pad(255 * np.array(inside, np.uint8).reshape(6, 6), 1)

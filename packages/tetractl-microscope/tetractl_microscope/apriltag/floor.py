@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tetractl.core.poses import Floats
-from tetractl.core.setup import MM
+from tetractl.core.setup import MILLIMETRE_M
 from tetractl_microscope.apriltag.section import FloorTag, Lens
 
 # corners of a tag of side 1: top left first, clockwise; x is the direction of reading
@@ -63,7 +63,7 @@ class Plane:
     @property
     def camera_height_mm(self) -> float:
         """Height of the camera above the floor [mm]."""
-        return -float(self.rotation[:, 2] @ self.translation) / MM
+        return -float(self.rotation[:, 2] @ self.translation) / MILLIMETRE_M
 
     def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
         """Convert pixels to positions at a height above the floor.
@@ -126,7 +126,7 @@ def floor_corners(tag: FloorTag, metres: float) -> Floats:
     cos = np.cos(tag.heading)
     sin = np.sin(tag.heading)
     rotated = SQUARE @ np.array([(cos, sin), (-sin, cos)])
-    return tag.size_mm * MM * rotated + metres * np.array(tag.at)
+    return tag.size_mm * MILLIMETRE_M * rotated + metres * np.array(tag.at)
 
 
 def calibrate(
@@ -167,8 +167,8 @@ def calibrate(
                 floor_points,
             )
             shifts = np.linalg.norm(wrong_plane.locate(middles, height_max_m) - positions, axis=-1)
-            lens_error_mm = math.hypot(lens_error_mm, float(shifts.max()) / MM)
-    errors_mm = np.linalg.norm(plane.locate(points) - floor_points, axis=-1) / MM
+            lens_error_mm = math.hypot(lens_error_mm, float(shifts.max()) / MILLIMETRE_M)
+    errors_mm = np.linalg.norm(plane.locate(points) - floor_points, axis=-1) / MILLIMETRE_M
     error_mm = float(np.sqrt(np.mean(errors_mm**2)))
     return replace(
         plane, error_mm=error_mm, error_max_mm=float(errors_mm.max()), lens_error_mm=lens_error_mm
@@ -285,7 +285,7 @@ class Floor:
         self._numbers = [tag.tag for tag in tags]
         self._positions_m = np.array([floor_corners(tag, metres) for tag in tags])
         self._lens = lens
-        self._height_max_m = height_max_mm * MM
+        self._height_max_m = height_max_mm * MILLIMETRE_M
         self._mean_corners: Floats | None = None  # averaged corners (F, 4, 2) [px]
         self._image_count = 0
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.poses import Bools, CameraFrame, Floats, FrameAddition, Grey, Pose
+from tetractl.core.poses import Bools, CameraFrame, Floats, FrameAddition, GreyImage, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.spec.lab_section import LabLimits
-from tetractl.tools.worker import drained
+from tetractl.tools.worker import take_all
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, find_problems, sharpness
@@ -119,10 +119,10 @@ class LearningPictures:
 
     def __init__(self, learning_s: float) -> None:
         self._learning_s = learning_s
-        self._pictures: list[Grey] = []
+        self._pictures: list[GreyImage] = []
         self._first_ns: int | None = None
 
-    def add(self, picture: Grey, exposed_ns: int) -> list[Grey]:
+    def add(self, picture: GreyImage, exposed_ns: int) -> list[GreyImage]:
         """Add an image, if one is due.
 
         Returns:
@@ -154,7 +154,7 @@ class PictureReports:
         self.additions = deque[FrameAddition](maxlen=QUEUED_MAX)
 
     def add(
-        self, picture: Grey, exposed_ns: int, background: Grey | None, probability: Floats
+        self, picture: GreyImage, exposed_ns: int, background: GreyImage | None, probability: Floats
     ) -> None:
         """Add an image.
 
@@ -307,7 +307,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
         Each is returned once, and the list is empty if there are none.
         """
-        return drained(self._reports.additions)
+        return take_all(self._reports.additions)
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
         """Create the watch on the robots' identities for a trial with this setup."""
@@ -326,7 +326,7 @@ class CellCamera(PictureCamera[SeenDish]):
             facts["cells"] = str(cell_count(searches))
         return Health(tuple(problems), tuple(warnings), facts)
 
-    def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
+    def _see(self, picture: GreyImage, exposed_ns: int) -> SeenDish | None:
         """Learn from an image, or track the cells in it.
 
         Returns:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tetractl.core.poses import Grey, Pose
+from tetractl.core.poses import GreyImage, Pose
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
@@ -53,7 +53,7 @@ class SeenDish:
 
 
 def sharpness(
-    picture: Grey, cells: Sequence[SeenCell], um_px: float, contrast: float | None
+    picture: GreyImage, cells: Sequence[SeenCell], um_px: float, contrast: float | None
 ) -> float | None:
     """Compute the sharpness of an image from the edges of its cells [1/px].
 

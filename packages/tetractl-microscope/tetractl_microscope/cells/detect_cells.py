@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Bools, Floats, Grey
+from tetractl.core.poses import Bools, Floats, GreyImage
 from tetractl_microscope.cells.knocks import find_shift, shift_picture
 
 STRIPE_COUNT = 16
@@ -102,7 +102,7 @@ class Blob:
     length: float
     width: float
     strength: float
-    mask: Grey
+    mask: GreyImage
     corner: tuple[int, int]
     at_edge: bool
 
@@ -168,7 +168,7 @@ class Background:
         self.learned = np.asarray(shift_picture(self.learned, shift_px), np.float32)
         self.grey = _to_grey(cv2.convertScaleAbs(self.fine))
 
-    def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
+    def follow_knock(self, smooth: GreyImage, gain: float) -> tuple[float, float]:
         """Shift the background as far as an image has shifted.
 
         Args:
@@ -196,7 +196,7 @@ class Background:
         self.fine[rectangle][is_wrong] = levels[is_wrong]
         self.grey[rectangle][is_wrong] = np.clip(self.fine[rectangle][is_wrong], 0, 255)
 
-    def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey) -> None:
+    def update(self, rows: slice, levels: NDArray[np.float32], calm: GreyImage) -> None:
         """Update rows of the background by a weighted mean with new grey levels.
 
         Args:
@@ -246,12 +246,12 @@ class SearchArrays:
         stripe: Index of the stripe of the background that is updated next.
     """
 
-    def __init__(self, picture: Grey) -> None:
+    def __init__(self, picture: GreyImage) -> None:
         self.limits = NO_BODY
-        self.smooth: Grey = np.zeros_like(picture)
-        self.difference: Grey = np.zeros_like(picture)
+        self.smooth: GreyImage = np.zeros_like(picture)
+        self.difference: GreyImage = np.zeros_like(picture)
         self.averages = np.empty(picture.shape, np.float32)
-        self.mask: Grey = np.zeros_like(picture)
+        self.mask: GreyImage = np.zeros_like(picture)
         self.stripe = 0
 
     def next_stripe(self) -> slice:
@@ -276,7 +276,7 @@ class LostPictures:
     """
 
     in_a_row: int = 0
-    sample: list[Grey] = field(default_factory=list)
+    sample: list[GreyImage] = field(default_factory=list)
 
 
 class BlobFinder:
@@ -305,11 +305,11 @@ class BlobFinder:
         self._lost = LostPictures()
 
     @property
-    def background(self) -> Grey | None:
+    def background(self) -> GreyImage | None:
         """The background in whole grey levels. None before it was learned."""
         return None if self._background is None else self._background.grey
 
-    def learn(self, pictures: Sequence[Grey]) -> None:
+    def learn(self, pictures: Sequence[GreyImage]) -> None:
         """Compute the background as the median of images (height, width).
 
         Each image is first shifted and scaled to fit the middle one. The method also determines
@@ -343,7 +343,7 @@ class BlobFinder:
         self._usual = None
         self._lost = LostPictures()
 
-    def find_blobs(self, picture: Grey) -> list[Blob]:
+    def find_blobs(self, picture: GreyImage) -> list[Blob]:
         """Find the blobs of an image (height, width), the largest first.
 
         The list is empty if the image cannot be compared with the background (`light.lost`).
@@ -543,7 +543,7 @@ def _box_px2(contour: np.ndarray) -> int:
 
 
 def _find_bodies(
-    region: np.ndarray, difference: Grey, averages: NDArray[np.float32], limits: SearchLimits
+    region: np.ndarray, difference: GreyImage, averages: NDArray[np.float32], limits: SearchLimits
 ) -> Iterator[Blob]:
     """Find the bodies in a region, in the order of decreasing difference from the background.
 
@@ -586,7 +586,7 @@ def _find_bodies(
 
 
 def _measure_blob(
-    body: Grey, weights: NDArray[np.floating], difference: Grey, box: Box, at_edge: bool
+    body: GreyImage, weights: NDArray[np.floating], difference: GreyImage, box: Box, at_edge: bool
 ) -> Blob:
     """Compute the ellipse with the same weighted moments as a body.
 
@@ -616,7 +616,7 @@ def _measure_blob(
     )
 
 
-def _averaging_square(area_min_px2: float) -> Grey:
+def _averaging_square(area_min_px2: float) -> GreyImage:
     """Return the square over which differences are averaged.
 
     Its side is an odd number of pixels.
@@ -644,7 +644,7 @@ def _sample_pixels(picture: np.ndarray) -> np.ndarray:
     return picture[::step, ::step]
 
 
-def _median_image(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
+def _median_image(pictures: Sequence[GreyImage], gains: Floats) -> NDArray[np.float32]:
     """Compute the median of images, each multiplied by its gain. It uses little memory."""
     median = np.empty(pictures[0].shape, np.float32)
     rows_at_once = max(1, min(SAMPLED_ROWS, ROWS_PX // median[0].size))
@@ -658,7 +658,7 @@ def _median_image(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32
     return median
 
 
-def _to_grey(picture: np.ndarray) -> Grey:
+def _to_grey(picture: np.ndarray) -> GreyImage:
     """Convert an image to 8-bit grey levels.
 
     Fractions are cut off, and the range is not checked.

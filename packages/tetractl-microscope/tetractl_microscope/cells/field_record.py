@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
-from tetractl.tools.worker import WAITING_MAX
+from tetractl.tools.worker import QUEUE_MAX
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.sent_directions import SentDirections
 
@@ -54,7 +54,7 @@ class FieldSignals:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._newest_direction: float | None = None
-        self._sent = deque[tuple[float, float, float]](maxlen=WAITING_MAX)
+        self._sent = deque[tuple[float, float, float]](maxlen=QUEUE_MAX)
 
     def note(self, direction: float | None, sent_ns: int) -> None:
         """Record a direction that was sent, unless it equals the previous one.

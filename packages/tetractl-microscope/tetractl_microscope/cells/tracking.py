@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Floats, GreyImage
 from tetractl_microscope.cells import match
 from tetractl_microscope.cells.cell import CellAnswer, CellBirth, SeenCell
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
@@ -114,7 +114,7 @@ class CellTracker:
         """The cells that were recognised for the first time in the newest image."""
         return self._newcomers.born
 
-    def track_image(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
+    def track_image(self, picture: GreyImage, seconds: float, field: FieldPieces) -> list[SeenCell]:
         """Find and track the cells in an image.
 
         Images must be given in the order of time, after the finder has learned the background.
@@ -144,7 +144,7 @@ class CellTracker:
 
     # ---- step 1: cells are predicted, and blobs found ----
 
-    def _describe_picture(self, picture: Grey, seconds: float) -> NewestImage:
+    def _describe_picture(self, picture: GreyImage, seconds: float) -> NewestImage:
         """Describe the newest image: its time, the time since the previous one, and its size.
 
         That time is 0 for the first image.
@@ -161,7 +161,7 @@ class CellTracker:
         pieces = () if self._previous_s is None else field(self._previous_s, image.seconds)
         self.cell_filter.predict(pieces)
 
-    def _find_blobs(self, picture: Grey) -> list[Blob]:
+    def _find_blobs(self, picture: GreyImage) -> list[Blob]:
         """Find the blobs of an image that are longer than the organism's shortest outline.
 
         If a knock has shifted the image, all objects are moved with it. The list is empty

@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.spec.experiment import Experiment, Robot, dealt
+from tetractl.spec.experiment import Experiment, Robot, assign_targets
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.section import Choice, choice_of
 
@@ -76,7 +76,7 @@ def with_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Expe
             a=cell.a,
             speed=cell.speed,
         )
-        for i, (cell, goal) in enumerate(zip(cells, dealt(places, goals), strict=True), 1)
+        for i, (cell, goal) in enumerate(zip(cells, assign_targets(places, goals), strict=True), 1)
     ]
     chosen = choice.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": chosen})
@@ -158,7 +158,7 @@ def _find_wanted(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotC
     """
     log_wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     log_cells = np.log([(cell.a, cell.speed) for cell in cells])
-    cell_indices = dealt(log_wanted, log_cells)
+    cell_indices = assign_targets(log_wanted, log_cells)
     for log_pair, i in zip(log_wanted, cell_indices, strict=True):
         if np.abs(log_pair - log_cells[i]).max() > LOG_DIFFERENCE_MAX:
             a, speed = np.exp(log_pair)

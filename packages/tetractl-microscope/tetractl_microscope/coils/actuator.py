@@ -22,7 +22,7 @@ from tetractl.core.setup import Setup
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import PortFactory
 from tetractl.model.motion.exact import rates
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 from tetractl_microscope.coils.driver import (
     HINT,
     REPLY_MAX_S,
@@ -315,18 +315,18 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
     driver = actuator.driver
     try:
         driver.open(alone)
-        for _ in range(STOPS):
+        for _ in range(STOP_COUNT):
             actuator.stop(emergency=True)
             clock.sleep_until(clock.now() + STOP_GAP_NS)
         if alone and not wait_for(clock, lambda: driver.is_emergency_stopped, REPLY_MAX_S):
             raise AbortError(
-                f"sent {STOPS} stops, but no current driver on {section.port} at {section.baud} "
-                "baud has confirmed that it stopped",
+                f"sent {STOP_COUNT} stops, but no current driver on {section.port} at "
+                f"{section.baud} baud has confirmed that it stopped",
                 "switch off the power supply of the current driver",
             )
     finally:
         driver.close()
-    return f"sent {STOPS} stops"
+    return f"sent {STOP_COUNT} stops"
 
 
 def _select_true(condition_by_message: dict[str, bool]) -> tuple[str, ...]:

@@ -20,10 +20,10 @@ import cv2
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.errors import AbortError, text_of
-from tetractl.core.poses import CameraFrame, Grey, Pose
+from tetractl.core.errors import AbortError, describe_error
+from tetractl.core.poses import CameraFrame, GreyImage, Pose
 from tetractl.core.protocols import Health
-from tetractl.tools.worker import WAITING_MAX, drained
+from tetractl.tools.worker import QUEUE_MAX, take_all
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.picture_section import PictureSection
 from tetractl_microscope.pictures.searches import (
@@ -137,7 +137,7 @@ class PictureSearches(Generic[R]):
         self.changed = threading.Condition()
         self.end_reason = ""
         self.failure: Exception | None = None
-        self._frames: deque[tuple[CameraFrame, R]] = deque(maxlen=WAITING_MAX)
+        self._frames: deque[tuple[CameraFrame, R]] = deque(maxlen=QUEUE_MAX)
         self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
 
     def add(self, frame: CameraFrame, search: PictureSearch[R]) -> None:
@@ -160,7 +160,7 @@ class PictureSearches(Generic[R]):
     def fail(self, thread: str, error: Exception) -> None:
         """Record the error that ended a thread, so that the program's own thread raises it."""
         with self.changed:
-            self.end_reason = f"the {thread} of images has stopped: {text_of(error)}"
+            self.end_reason = f"the {thread} of images has stopped: {describe_error(error)}"
             self.failure = error
             self.changed.notify_all()
 
@@ -172,7 +172,7 @@ class PictureSearches(Generic[R]):
         if self.failure is not None:
             raise self.failure
         with self.changed:
-            return drained(self._frames)
+            return take_all(self._frames)
 
     def last(self) -> tuple[PictureSearch[R], ...]:
         """Return the last KEPT_SEARCHES searches, or fewer at the start, oldest first."""
@@ -219,12 +219,12 @@ class PictureCamera(ABC, Generic[R]):
         self._queue = PictureQueue()
         self._searches = PictureSearches[R]()
         self._size: tuple[int, ...] | None = None  # height and width of the first picture
-        self._newest_picture: Grey | None = None
+        self._newest_picture: GreyImage | None = None
         self._undecoded_count = 0  # number of pictures that could not be decoded
         self._memory_count = 0  # number of pictures of a source in memory
 
     @abstractmethod
-    def _see(self, picture: Grey, exposed_ns: int) -> R | None:
+    def _see(self, picture: GreyImage, exposed_ns: int) -> R | None:
         """Search an image.
 
         Args:
@@ -416,7 +416,7 @@ class PictureCamera(ABC, Generic[R]):
         self._searches.add(frame, PictureSearch(number, received_ns, search_ns, result))
         self._wake()
 
-    def _repeats(self, grey: Grey) -> bool:
+    def _repeats(self, grey: GreyImage) -> bool:
         """Decide whether an image repeats the newest one to the last bit.
 
         An image of one grey level, such as a black one, never does.

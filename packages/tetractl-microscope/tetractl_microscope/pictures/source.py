@@ -21,7 +21,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Grey
+from tetractl.core.poses import GreyImage
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.multipart import Multipart
@@ -38,7 +38,7 @@ INSTALL_FILMS = "pip install './packages/tetractl-microscope[films]'"
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 
-def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
+def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> GreyImage | None:
     """Decode an image to grey levels.
 
     Args:
@@ -219,7 +219,7 @@ class FileFeed(Feed):
         if self._film is not None:
             self._film.close()
 
-    def _grey(self, pixels: np.ndarray) -> Grey:
+    def _grey(self, pixels: np.ndarray) -> GreyImage:
         """Convert pixels to 8-bit grey levels, shifted by as many bits as the first image needs.
 
         Colours are averaged first, and larger levels become 255.

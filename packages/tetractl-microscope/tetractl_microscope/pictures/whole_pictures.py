@@ -4,15 +4,15 @@ import cv2
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Grey
-from tetractl.log.format.channels import BACKGROUND, PICTURE
+from tetractl.core.poses import GreyImage
+from tetractl.log.format.channels import BACKGROUND_TOPIC, PICTURE_TOPIC
 
 LENS = "microscope"  # name of the pictures' coordinate frame
 WHOLE_NS = SECOND  # interval between whole pictures
 BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
 
 
-def _jpeg_image(picture: Grey) -> bytes:
+def _jpeg_image(picture: GreyImage) -> bytes:
     """Encode an image as JPEG in a log message. Its data is empty if encoding fails."""
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
     coded = data.tobytes() if done else b""
@@ -27,7 +27,7 @@ class PictureLog:
         self._background_ns = -BACKGROUND_NS
 
     def messages(
-        self, picture: Grey, exposed_ns: int, background: Grey | None
+        self, picture: GreyImage, exposed_ns: int, background: GreyImage | None
     ) -> tuple[tuple[str, bytes], ...]:
         """Create the messages that are due for an image.
 
@@ -42,8 +42,8 @@ class PictureLog:
         messages: list[tuple[str, bytes]] = []
         if exposed_ns - self._whole_ns >= WHOLE_NS:
             self._whole_ns = exposed_ns
-            messages.append((PICTURE, _jpeg_image(picture)))
+            messages.append((PICTURE_TOPIC, _jpeg_image(picture)))
         if background is not None and exposed_ns - self._background_ns >= BACKGROUND_NS:
             self._background_ns = exposed_ns
-            messages.append((BACKGROUND, _jpeg_image(background)))
+            messages.append((BACKGROUND_TOPIC, _jpeg_image(background)))
         return tuple(messages)

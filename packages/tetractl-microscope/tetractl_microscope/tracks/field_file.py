@@ -118,7 +118,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
         times.append(time_column.number(path, row))
         if len(times) > 1 and times[-1] < times[-2]:
             raise create_order_error(path, row)
-        strength = 1.0 if strength_column is None else strength_column.optional(path, row)
+        strength = 1.0 if strength_column is None else strength_column.read_optional(path, row)
         strength = 1.0 if math.isnan(strength) else strength
         if abs(strength) > STRENGTH_MAX:
             problem = f"{path}, line {row.line}: {STRENGTH_COLUMN}: {strength:g} is too large"

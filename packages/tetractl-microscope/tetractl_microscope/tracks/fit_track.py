@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.tools.likelihood import NORMAL, SampleInterval
+from tetractl.tools.likelihood import Z_95, SampleInterval
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
 from tetractl_microscope.cells.kernels.helix_path import log_likelihoods_of, smooth
@@ -334,7 +334,7 @@ class _Fit:
 def _interval(value: float, sd: float, relative_sd: float) -> SampleInterval:
     """Compute a value's 95 % interval from an absolute and a relative standard deviation."""
     value = float(value)
-    half_width = float(NORMAL * math.hypot(sd, relative_sd * value))
+    half_width = float(Z_95 * math.hypot(sd, relative_sd * value))
     return SampleInterval(value, value - half_width, value + half_width)
 
 

@@ -194,16 +194,16 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     _require_columns(path, headers, list(quantities))
     units = {quantity: quantities[header][1] for quantity, header in headers.items() if header}
     columns = {quantity: NumberColumn(headers[quantity]) for quantity in units}
-    columns["track"] = NumberColumn(headers["track"], largest=TRACK_MAX)
+    columns["track"] = NumberColumn(headers["track"], number_max=TRACK_MAX)
     if "time" in units:
         seconds_per_unit = find_factor(units["time"], SECONDS) or 1.0
         columns["time"] = NumberColumn(headers["time"], seconds_per_unit, TIME_MAX)
     numbers = list[float]()
     for row in chain([first_row] if first_row else [], rows):
-        if not math.isnan(columns["track"].optional(path, row)):  # else a spot of no track
+        if not math.isnan(columns["track"].read_optional(path, row)):  # else a spot of no track
             for quantity, column in columns.items():
                 is_place = quantity in ("x", "y")  # a cell need not be found in each picture
-                number = column.optional(path, row) if is_place else column.number(path, row)
+                number = column.read_optional(path, row) if is_place else column.number(path, row)
                 numbers.append(number)
     if not numbers:
         raise UsageError(f"{path}: the file has no point that belongs to a track")

@@ -181,7 +181,7 @@ def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
     def unlike(kind: Organism) -> float:
         return abs(log_speed - math.log(math.prod(kind.speed_um_s)) / 2)
 
-    return min(ORGANISMS.usable().values(), key=unlike)
+    return min(ORGANISMS.load_usable().values(), key=unlike)
 
 
 def _speed_um_s(path: CellPath) -> float:

@@ -14,7 +14,7 @@ from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.run.checked_controller import build_controller
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import on_plant
+from tetractl.spec.plants import select_plant
 
 FIELDS = {"type": "ensemble", "time_limit": 200.2, "period": 0.2}
 
@@ -89,4 +89,4 @@ def test_a_lab_cannot_switch_its_field_off():
     with pytest.raises(
         SpecError, match="cannot switch off the field, as the controller ensemble does"
     ):
-        on_plant(spec, "lab")
+        select_plant(spec, "lab")

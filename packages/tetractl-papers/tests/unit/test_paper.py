@@ -27,7 +27,7 @@ from tetractl_papers.registries import PAPERS
 
 from tetractl.api import batches
 from tetractl.core.errors import Exit, UsageError
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 from tetractl.spec.load import load_spec
 
 COMPLETE = partial(batches.run_batch, resume=True)
@@ -100,7 +100,7 @@ def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch
         "sent": Runs("three_m3pi_paper", ("plant.motion=euler",), 2, plans_of="planned"),
     }
     results = reproduce_trials.run_arms(
-        Paper("x", arms, []), tmp_path, examples(), None, COMPLETE, lambda text: None
+        Paper("x", arms, []), tmp_path, find_examples(), None, COMPLETE, lambda text: None
     )
     for planned, sent in zip(results["planned"], results["sent"], strict=True):
         assert total_error(sent) == pytest.approx(planned.steps[0].plan.target_cost, abs=1e-6)
@@ -143,7 +143,7 @@ def test_each_arm_of_a_paper_is_a_right_spec_and_each_claim_is_of_an_arm(name):
     earlier = {None}
     for arm_name, arm in paper.arms.items():
         if isinstance(arm, Runs):
-            load_spec(examples()[arm.example], arm.sets)
+            load_spec(find_examples()[arm.example], arm.sets)
             assert {arm.plan_of, arm.plans_of} <= earlier
         earlier.add(arm_name)
     assert {stated.arm for stated in paper.claims} <= earlier
@@ -176,7 +176,7 @@ def test_the_command_prints_a_row_of_the_page(tmp_path):
     results = reproduce_trials.run_arms(
         Paper(paper.source, arms, stated),
         tmp_path,
-        examples(),
+        find_examples(),
         None,
         COMPLETE,
         lambda text: None,

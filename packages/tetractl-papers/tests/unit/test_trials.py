@@ -9,9 +9,9 @@ from tetractl_papers.paper import Paper, Runs, Work
 from tetractl_papers.trials import SEED, run_arms
 
 from tetractl.run.logged_trial import log_path
-from tetractl.spec.examples import examples
+from tetractl.spec.examples import find_examples
 
-SPECS = examples()
+SPECS = find_examples()
 
 
 class FakeBatches:

@@ -14,7 +14,7 @@ from tetractl_ros2.topics import COMMAND_MESSAGES, POSE_MESSAGES
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import UNREADABLE, PortGroup, stop_all_at
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 
 NAMES = ("green", "blue", "red")
 DISCOVERY_NS = round(DISCOVERY_S * SECOND)
@@ -90,9 +90,9 @@ def test_stops_are_sent_to_whoever_is_there_while_others_are_waited_for(ports_to
     with pytest.raises(AbortError) as caught:
         stop_all_at(ports, lambda: link.send([Twist().serialize()] * 3), clock, alone=True)
     not_to = "no node subscribes to /green/cmd_vel"
-    assert caught.value.message == f"sent {STOPS} stops, but not to all robots: {not_to}"
+    assert caught.value.message == f"sent {STOP_COUNT} stops, but not to all robots: {not_to}"
     silent, late, prompt = (port.end.sent_ns for port in ports)
-    end_ns = DISCOVERY_NS + STOPS * STOP_GAP_NS
+    end_ns = DISCOVERY_NS + STOP_COUNT * STOP_GAP_NS
     assert clock.now() == end_ns
     assert silent == []
     assert late == list(range(SECOND, end_ns, STOP_GAP_NS))
@@ -103,8 +103,8 @@ def test_robots_that_are_all_there_get_ten_stops(ports_to):
     clock, ports = ports_to(0, 0, 0)
     link = PortGroup(ports)
     sent = stop_all_at(ports, lambda: link.send([Twist().serialize()] * 3), clock, alone=True)
-    assert sent == f"sent {STOPS} stops"
-    assert [len(port.end.sent_ns) for port in ports] == [STOPS] * 3
+    assert sent == f"sent {STOP_COUNT} stops"
+    assert [len(port.end.sent_ns) for port in ports] == [STOP_COUNT] * 3
 
 
 class Arrivals:

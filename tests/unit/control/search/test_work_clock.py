@@ -9,7 +9,7 @@ from testkit.paths import ROOT
 from tetractl.control.search.kernels.multistart import BETWEEN_LOOKS
 from tetractl.control.search.work_clock import ROBOT_STEP_NS, SEARCH_NS, WorkClock
 from tetractl.core.clock import SECOND
-from tetractl.core.plan import Limits, Search, StopReason, never
+from tetractl.core.plan import Limits, Search, StopReason, never_expires
 from tetractl.log.read.reader import read_trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.logged_trial import log_path, run_logged
@@ -34,7 +34,7 @@ def test_searches_advance_the_clock_while_they_run_and_after_them():
     search = clock.wrap(Steady()).search
     assert search(problem, 20, None, 1, timed).evaluations == 4
     assert clock() == end
-    assert search(problem, 20, None, 1, Limits(expired=never)).evaluations == 10
+    assert search(problem, 20, None, 1, Limits(expired=never_expires)).evaluations == 10
     assert clock() == end + SEARCH_NS + 10 * search_ns
 
 

@@ -24,7 +24,7 @@ from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import COUNT_MAX
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 
 
 class Link:
@@ -238,8 +238,8 @@ def test_all_robots_in_range_latch_ten_stops(monkeypatch, alone, answers):
     clock = VirtualClock()
     said = stop_in_range(SECTION, clock, alone)
     assert said.startswith("sent 10 stops on radio")
-    assert [command.flags for command in module.commands] == [Flag.EMERGENCY_STOP] * STOPS
-    assert clock.now() == STOPS * STOP_GAP_NS
+    assert [command.flags for command in module.commands] == [Flag.EMERGENCY_STOP] * STOP_COUNT
+    assert clock.now() == STOP_COUNT * STOP_GAP_NS
     assert module.calls == [("open", False, alone), *([b"AP"] if alone else []), "close"]
 
 
@@ -248,7 +248,7 @@ def test_a_module_that_does_not_answer_after_the_stops_is_named(monkeypatch):
     monkeypatch.setattr(broadcast, "XbeeLink", module)
     with pytest.raises(AbortError, match="no XBee module answers at 57600 baud"):
         stop_in_range(SECTION, VirtualClock(), alone=True)
-    assert len(module.commands) == STOPS
+    assert len(module.commands) == STOP_COUNT
     assert module.calls[-1] == "close"
 
 

@@ -53,7 +53,7 @@ class OneRobot(PortCamera):
 
 
 SECTION = types.SimpleNamespace(address="there", latency=0.02)
-SETUP = parse_spec(build_template("check", "check"), "check").experiment.setup.only([0])
+SETUP = parse_spec(build_template("check", "check"), "check").experiment.setup.select_robots([0])
 
 
 def camera(port, make=OneRobot):

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from testkit.paths import ROOT
 from testkit.random_trials import trial, write
 
-from tetractl.core.loggable import DRAWN_PRECISION, drawn
+from tetractl.core.loggable import DRAWING_PRECISION, round_for_drawing
 from tetractl.core.poses import Frames
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.codec import decode_frames, encode_frames
@@ -47,9 +47,9 @@ def is_no_subnormal(value):
 
 @given(value=st.floats(-1e9, 1e9).filter(is_no_subnormal))
 def test_what_is_drawn_is_rounded_once(value):
-    (rounded,) = drawn(np.array([value]))
-    assert abs(rounded - value) <= DRAWN_PRECISION * abs(value)
-    assert drawn(np.array([rounded])) == [rounded]
+    (rounded,) = round_for_drawing(np.array([value]))
+    assert abs(rounded - value) <= DRAWING_PRECISION * abs(value)
+    assert round_for_drawing(np.array([rounded])) == [rounded]
 
 
 def test_each_schema_is_in_a_log_once(tmp_path):

@@ -22,9 +22,9 @@ from testkit import trials
 from testkit.random_trials import experiment, trial, write
 
 from tetractl.core import elementwise
-from tetractl.core.loggable import DRAWN_PRECISION
+from tetractl.core.loggable import DRAWING_PRECISION
 from tetractl.core.poses import Frames
-from tetractl.core.trial import EPOCH_NS, Note
+from tetractl.core.trial import SIMULATED_START_NS, Note
 from tetractl.log.format.scene import Scene, decode_note, encode_note, robot_frame_id, to_timestamp
 
 
@@ -60,13 +60,13 @@ def test_transforms_are_the_measured_poses_in_metres_at_their_times(random_trial
         assert names == ["robot/robot 0", "robot/robot 1", "robot/robot 2"]
         for i, item in enumerate(of_frame):
             assert item.parent_frame_id == "world"
-            assert item.translation.x == pytest.approx(poses.x[i] / 1000, rel=DRAWN_PRECISION)
-            assert item.translation.y == pytest.approx(poses.y[i] / 1000, rel=DRAWN_PRECISION)
+            assert item.translation.x == pytest.approx(poses.x[i] / 1000, rel=DRAWING_PRECISION)
+            assert item.translation.y == pytest.approx(poses.y[i] / 1000, rel=DRAWING_PRECISION)
             q = item.rotation
-            assert q.x**2 + q.y**2 + q.z**2 + q.w**2 == pytest.approx(1, rel=2 * DRAWN_PRECISION)
+            assert q.x**2 + q.y**2 + q.z**2 + q.w**2 == pytest.approx(1, rel=2 * DRAWING_PRECISION)
             yaw = 2 * math.atan2(q.z, q.w)
             assert math.cos(yaw - poses.heading[i]) == pytest.approx(1)
-            assert _stamp(item) == EPOCH_NS + sample.observation.sampled_ns
+            assert _stamp(item) == SIMULATED_START_NS + sample.observation.sampled_ns
 
 
 def _stamp(item):
@@ -95,7 +95,9 @@ def test_arena_and_obstacles_stand_where_the_spec_says(entities):
 
 
 NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, math.pi, 5e-324, 1e308])
-UNIX_NS = st.integers(0, 2**62) | st.sampled_from([0, 1, 2**21, EPOCH_NS, EPOCH_NS + 2**28])
+UNIX_NS = st.integers(0, 2**62) | st.sampled_from(
+    [0, 1, 2**21, SIMULATED_START_NS, SIMULATED_START_NS + 2**28]
+)
 
 
 @pytest.mark.long
@@ -173,7 +175,7 @@ def test_colors_are_the_specs_or_the_lists(entities):
 
 @pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
 def test_every_unit_comes_to_metres(unit, metres):
-    scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
+    scene = Scene(experiment(1, units={"length": unit}).setup).static(SIMULATED_START_NS)
     box = corners_of(next(item for item in scene.entities if item.id == "obstacle/0"))
     assert np.ptp(box[:, 0]) == pytest.approx(200 * metres)
 
@@ -183,7 +185,7 @@ def test_every_unit_comes_to_metres(unit, metres):
 
 def scene_of(**fields):
     """What stands in the scene of one robot, by name, with its points in mm."""
-    scene = Scene(trials.experiment(**fields).setup).static(EPOCH_NS)
+    scene = Scene(trials.experiment(**fields).setup).static(SIMULATED_START_NS)
     return {entity.id: entity for entity in scene.entities}
 
 

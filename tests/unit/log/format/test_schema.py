@@ -10,7 +10,7 @@ from testkit.paths import ROOT
 from testkit.random_trials import trial, write
 
 import tetractl.log.format
-from tetractl.core.loggable import ESTIMATE_FIELDS
+from tetractl.core.loggable import LOGGED_ESTIMATE_FIELDS
 from tetractl.log.format import tetractl_pb2
 from tetractl.log.format.channels import CHANNELS, HOST
 from tetractl.log.read.salvage import scan
@@ -65,4 +65,4 @@ def test_the_reference_names_every_channel_field_and_fact(tmp_path):
 
 def test_an_estimate_has_the_fields_of_its_message():
     """They are stated twice, so that checks of a controller's plans need no log."""
-    assert tuple(tetractl_pb2.Estimate.DESCRIPTOR.fields_by_name) == ESTIMATE_FIELDS
+    assert tuple(tetractl_pb2.Estimate.DESCRIPTOR.fields_by_name) == LOGGED_ESTIMATE_FIELDS

@@ -9,7 +9,7 @@ from testkit.random_trials import PERIOD_NS, trial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer
-from tetractl.core.trial import EPOCH_NS, Note
+from tetractl.core.trial import SIMULATED_START_NS, Note
 from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.write.encoder import CHUNK_NS, LAB_CHUNK_NS, PLAN_SHOWN_NS, Encoder
@@ -64,7 +64,7 @@ def test_a_trial_begins_with_its_run_its_specs_its_scene_and_a_note():
     sink, _ = encoded(made(), stops=False)
     begin = [topic_of(record) for record in sink.records[:6]]
     assert begin == [channels.RUN, *ATTACHED, channels.SCENE, channels.LOG]
-    assert {r.log_ns for r in sink.records[:6] if isinstance(r, Entry)} == {EPOCH_NS}
+    assert {r.log_ns for r in sink.records[:6] if isinstance(r, Entry)} == {SIMULATED_START_NS}
 
 
 def test_records_of_the_host_are_only_in_the_log_of_a_host():
@@ -92,7 +92,7 @@ def test_a_simulation_shows_every_eighth_frame_and_the_newest_of_each_message():
     """A camera of 120 Hz is shown at 15 Hz."""
     made_up = made(steps=23)
     sink, _ = encoded(made_up)
-    sampled = [sample.observation.sampled_ns + EPOCH_NS for sample in made_up.samples]
+    sampled = [sample.observation.sampled_ns + SIMULATED_START_NS for sample in made_up.samples]
     shown = [
         [stamp_ns(t) for t in message.transforms if t.child_frame_id == "robot/robot 1"]
         for message in sink.messages(channels.TRANSFORMS)
@@ -118,13 +118,13 @@ def test_messages_of_frames_have_the_times_of_their_last_and_transforms_of_their
     (shown,) = sink.of(channels.TRANSFORMS)
     seen = [sample.observation for sample in made_up.samples]
     assert (frames.log_ns, frames.publish_ns) == (
-        EPOCH_NS + seen[-1].received_ns,
-        EPOCH_NS + seen[-1].sampled_ns,
+        SIMULATED_START_NS + seen[-1].received_ns,
+        SIMULATED_START_NS + seen[-1].sampled_ns,
     )
     first = seen[(len(seen) - 1) % 8]
     assert (shown.log_ns, shown.publish_ns) == (
-        EPOCH_NS + first.received_ns,
-        EPOCH_NS + first.sampled_ns,
+        SIMULATED_START_NS + first.received_ns,
+        SIMULATED_START_NS + first.sampled_ns,
     )
 
 
@@ -182,11 +182,11 @@ def test_a_step_is_logged_with_its_command_its_time_and_the_sampling_of_its_fram
     for step, entry, timing in zip(
         made_up.steps, sink.of(channels.STEP), sink.messages(channels.HOST_TIMING), strict=True
     ):
-        assert entry.log_ns == EPOCH_NS + step.command.sent_ns
-        assert entry.publish_ns == EPOCH_NS + step.observation.sampled_ns
+        assert entry.log_ns == SIMULATED_START_NS + step.command.sent_ns
+        assert entry.publish_ns == SIMULATED_START_NS + step.observation.sampled_ns
         assert (timing.k, timing.solve_ns) == (step.k, step.solve_ns)
         assert timing.deadline_missed == step.deadline_missed
-    sent = [entry.log_ns - EPOCH_NS for entry in sink.of(channels.COMMANDS)]
+    sent = [entry.log_ns - SIMULATED_START_NS for entry in sink.of(channels.COMMANDS)]
     assert sent == [*(step.command.sent_ns for step in made_up.steps), made_up.stop.sent_ns]
 
 
@@ -198,7 +198,7 @@ def test_plans_are_shown_at_most_every_so_often():
         for (samples, step), sent_ns in zip(made_up.rounds, times, strict=True)
     ]
     sink, _ = encoded(replace(made_up, rounds=rounds), stops=False)
-    shown = [entry.log_ns - EPOCH_NS for entry in sink.of(channels.SCENE_PLAN)]
+    shown = [entry.log_ns - SIMULATED_START_NS for entry in sink.of(channels.SCENE_PLAN)]
     assert shown == times[::3]
 
 
@@ -212,8 +212,8 @@ def test_a_command_outside_of_the_steps_is_logged_alone():
     (entry,) = sink.records[before:]
     assert (entry.topic, entry.log_ns, entry.publish_ns) == (
         channels.COMMANDS,
-        EPOCH_NS + 17,
-        EPOCH_NS + 17,
+        SIMULATED_START_NS + 17,
+        SIMULATED_START_NS + 17,
     )
 
 
@@ -237,13 +237,13 @@ def test_only_warnings_and_errors_before_the_end_are_counted():
 def test_messages_of_a_camera_have_the_times_of_their_sample():
     made_up = made(steps=1)
     (samples, step) = made_up.rounds[0]
-    pictured = [replace(samples[0], messages=((channels.PICTURE, b"jpeg"),)), *samples[1:]]
+    pictured = [replace(samples[0], messages=((channels.PICTURE_TOPIC, b"jpeg"),)), *samples[1:]]
     sink, _ = encoded(replace(made_up, rounds=[(pictured, step)]))
-    (entry,) = sink.of(channels.PICTURE)
+    (entry,) = sink.of(channels.PICTURE_TOPIC)
     seen = samples[0].observation
     assert (entry.log_ns, entry.publish_ns, entry.data) == (
-        EPOCH_NS + seen.received_ns,
-        EPOCH_NS + seen.sampled_ns,
+        SIMULATED_START_NS + seen.received_ns,
+        SIMULATED_START_NS + seen.sampled_ns,
         b"jpeg",
     )
 

@@ -3,7 +3,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.spec.yaml.core_yaml import compose, dump
+from tetractl.spec.yaml.core_yaml import format_yaml, parse_nodes
 from tetractl.spec.yaml.document import parse_value
 from tetractl.spec.yaml.problems import InvalidSpecError
 
@@ -47,7 +47,7 @@ def test_scalars_are_those_of_the_core_schema(text):
 )
 def test_what_is_no_yaml_is_refused_at_its_place(text, line, column, words):
     with pytest.raises(InvalidSpecError, match=words.replace("+", r"\+")) as caught:
-        compose(text, "here")
+        parse_nodes(text, "here")
     (problem,) = caught.value.problems
     assert (problem.line, problem.column) == (line, column)
 
@@ -68,5 +68,5 @@ PLAIN = st.recursive(
 
 @given(PLAIN)
 def test_dumped_data_parses_to_itself_here_and_by_yaml_1_1(data):
-    assert parse_value(dump(data), "here") == data
-    assert yaml.safe_load(dump(data)) == data
+    assert parse_value(format_yaml(data), "here") == data
+    assert yaml.safe_load(format_yaml(data)) == data

@@ -6,9 +6,9 @@ from tetractl.spec.yaml.problems import (
     SHOWN_PROBLEMS,
     InvalidSpecError,
     SpecProblem,
-    did_you_mean,
-    dotted,
-    near_files,
+    format_loc,
+    suggest_files,
+    suggest_similar,
 )
 
 
@@ -51,9 +51,9 @@ def test_in_python_an_option_is_called_a_setting():
 
 
 def test_a_location_is_dotted_as_for_set():
-    assert dotted(("robots", 0, "start")) == "robots.0.start"
-    assert dotted(()) == ""
-    assert "\n" not in dotted(("a\nb",))
+    assert format_loc(("robots", 0, "start")) == "robots.0.start"
+    assert format_loc(()) == ""
+    assert "\n" not in format_loc(("a\nb",))
 
 
 @pytest.mark.parametrize(
@@ -68,28 +68,28 @@ def test_a_location_is_dotted_as_for_set():
 )
 def test_the_closest_choice_is_suggested(word, meant):
     choices = ["start", "heading", "speed_um", "target"]
-    assert did_you_mean(word, choices) == f"; did you mean '{meant}'?"
+    assert suggest_similar(word, choices) == f"; did you mean '{meant}'?"
 
 
 @pytest.mark.parametrize("word", ["xyz", "", "a" * 10_000])
 def test_nothing_is_suggested_for_a_word_that_is_like_no_choice(word):
-    assert did_you_mean(word, ["start", "heading"]) == ""
-    assert did_you_mean("start", []) == ""
+    assert suggest_similar(word, ["start", "heading"]) == ""
+    assert suggest_similar("start", []) == ""
 
 
 def test_a_suggestion_is_written_as_the_choice_is():
-    assert did_you_mean("per_mt", ["per_mT"]) == "; did you mean 'per_mT'?"
+    assert suggest_similar("per_mt", ["per_mT"]) == "; did you mean 'per_mT'?"
 
 
 def test_specs_with_names_like_that_of_a_missing_one_are_suggested(tmp_path):
     for name in ("mine.yaml", "mime.yml", "mine.txt", "other.yaml"):
         (tmp_path / name).touch()
-    assert near_files(tmp_path / "mine.yml") == "; did you mean 'mine.yaml' or 'mime.yml'?"
-    assert near_files(tmp_path / "zzzzz") == ""
-    assert near_files(tmp_path / "no folder" / "mine.yaml") == ""
+    assert suggest_files(tmp_path / "mine.yml") == "; did you mean 'mine.yaml' or 'mime.yml'?"
+    assert suggest_files(tmp_path / "zzzzz") == ""
+    assert suggest_files(tmp_path / "no folder" / "mine.yaml") == ""
 
 
 def test_at_most_three_files_are_suggested(tmp_path):
     for i in range(5):
         (tmp_path / f"spec{i}.yaml").touch()
-    assert near_files(tmp_path / "spec.yaml").count(".yaml") == 3
+    assert suggest_files(tmp_path / "spec.yaml").count(".yaml") == 3

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tetractl.spec.yaml.core_yaml import MAX_DEPTH
 from tetractl.spec.yaml.document import Place, parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
-from tetractl.spec.yaml.settings import FieldValue, make_way, with_settings
+from tetractl.spec.yaml.settings import FieldValue, create_path, with_settings
 
 TEXT = """\
 name: s
@@ -136,9 +136,9 @@ def test_an_empty_list_has_no_entries():
 
 def test_entries_without_names_are_found_only_by_index():
     listed = parse_document("a: [1, 2]", "s")
-    assert make_way(listed, ["a", "1"], Place("here")) == ("a", 1)
+    assert create_path(listed, ["a", "1"], Place("here")) == ("a", 1)
     with pytest.raises(InvalidSpecError, match=r"its entries are 0 to 1$"):
-        make_way(listed, ["a", "2"], Place("here"))
+        create_path(listed, ["a", "2"], Place("here"))
 
 
 def test_a_wrong_setting_does_not_hide_the_others():

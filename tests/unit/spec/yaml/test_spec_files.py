@@ -7,18 +7,18 @@ import pytest
 
 from tetractl.core.errors import SpecError
 from tetractl.spec.yaml.problems import InvalidSpecError
-from tetractl.spec.yaml.spec_files import MAX_BYTES, file_of_spec, read_text
+from tetractl.spec.yaml.spec_files import MAX_BYTES, read_text, resolve_path
 
 
 def test_a_file_is_relative_to_the_folder_of_its_spec():
-    assert file_of_spec(Path("/lab"), "identified", "found.yaml") == Path("/lab/found.yaml")
-    assert file_of_spec(Path("/lab"), "identified", "/other/f.yaml") == Path("/other/f.yaml")
-    assert file_of_spec(None, "identified", "/other/f.yaml") == Path("/other/f.yaml")
+    assert resolve_path(Path("/lab"), "identified", "found.yaml") == Path("/lab/found.yaml")
+    assert resolve_path(Path("/lab"), "identified", "/other/f.yaml") == Path("/other/f.yaml")
+    assert resolve_path(None, "identified", "/other/f.yaml") == Path("/other/f.yaml")
 
 
 def test_a_relative_file_of_a_spec_without_a_folder_is_refused():
     with pytest.raises(SpecError) as caught:
-        file_of_spec(None, "lab.calibration", "m.yaml")
+        resolve_path(None, "lab.calibration", "m.yaml")
     assert caught.value.message.startswith("lab.calibration: m.yaml: this path is relative")
     assert "--set lab.calibration=/PATH" in caught.value.hint
     assert "--set" not in caught.value.in_python

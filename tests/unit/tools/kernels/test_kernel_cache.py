@@ -227,7 +227,7 @@ OLD = "kernel_cache.binding = SimpleNamespace(get_host_cpu_features=lambda: {'av
 @pytest.mark.long
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="such code is for x86-64 alone")
 def test_code_in_the_package_runs_where_the_processor_and_the_settings_allow(tmp_path):
-    level = {"NUMBA_CPU_NAME": cache.LEVEL, "NUMBA_CPU_FEATURES": ""}
+    level = {"NUMBA_CPU_NAME": cache.SHIPPED_LEVEL, "NUMBA_CPU_FEATURES": ""}
     built = {"NUMBA_CACHE_DIR": str(tmp_path / "built")}
     assert small(tmp_path, **level, **built)[0][:2] == ["42", "0"]
     (file,) = (tmp_path / "built").rglob("*.kernel")
@@ -246,7 +246,7 @@ def loaded(folder, monkeypatch):
     def doubled(value):
         return 2 * value
 
-    monkeypatch.setattr(cache, "folder", lambda: folder)
+    monkeypatch.setattr(cache, "find_kernel_folder", lambda: folder)
     kernel = cache.compiled()(doubled)
     assert kernel(21) == 42
     return sum(kernel.stats.cache_hits.values())
@@ -263,7 +263,7 @@ def test_the_time_of_compiling_counts_once_in_the_whole_and_once_with_its_functi
     """`outer` compiles `first`, which compiles `inner`, and then `second`, each for some time."""
     now_s = 0.0
     monkeypatch.setattr(cache.time, "thread_time", lambda: now_s)
-    listener = cache._Compiling()
+    listener = cache._CompileListener()
 
     def compiling(name, own_s, *called):
         nonlocal now_s
@@ -275,7 +275,7 @@ def test_the_time_of_compiling_counts_once_in_the_whole_and_once_with_its_functi
             compiling(*call)
         listener.on_end(compiled)
 
-    monkeypatch.setattr(cache, "compiling", ())
+    monkeypatch.setattr(cache, "compile_listeners", ())
     compiling("outer", 1.0, ("first", 2.0, ("inner", 4.0)), ("second", 8.0))
     now_s += 100.0  # nothing is compiled
     compiling("inner", 16.0)

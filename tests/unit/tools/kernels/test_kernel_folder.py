@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from tetractl.tools.kernels import kernel_cache
-from tetractl.tools.kernels.kernel_cache import folder, shipped
+from tetractl.tools.kernels.kernel_cache import find_kernel_folder, find_shipped_folder
 
 
 @pytest.fixture
@@ -14,14 +14,14 @@ def chosen(monkeypatch, tmp_path):
     said = []
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(kernel_cache, "cache_folder", lambda: tmp_path / "user")
-    monkeypatch.setattr(kernel_cache, "say_once", said.append)
+    monkeypatch.setattr(kernel_cache, "print_note_once", said.append)
 
     def choose():
-        folder.cache_clear()
+        find_kernel_folder.cache_clear()
         try:
-            return folder()
+            return find_kernel_folder()
         finally:
-            folder.cache_clear()
+            find_kernel_folder.cache_clear()
 
     return SimpleNamespace(choose=choose, said=said)
 
@@ -87,7 +87,7 @@ def test_shipped_code_runs_only_with_its_settings_on_a_processor_that_can(
     place = tmp_path / "shipped"
     if there:
         place.mkdir()
-    features = dict.fromkeys(kernel_cache._NEEDED.split(), True)
+    features = dict.fromkeys(kernel_cache._NEEDED_FEATURES.split(), True)
     if lacking:
         features[list(features)[-1]] = False
     monkeypatch.setattr(kernel_cache, "SHIPPED", place)
@@ -95,6 +95,6 @@ def test_shipped_code_runs_only_with_its_settings_on_a_processor_that_can(
     monkeypatch.setattr(
         kernel_cache, "binding", SimpleNamespace(get_host_cpu_features=lambda: features)
     )
-    shipped.cache_clear()
-    assert (shipped() == place) is is_used
-    shipped.cache_clear()
+    find_shipped_folder.cache_clear()
+    assert (find_shipped_folder() == place) is is_used
+    find_shipped_folder.cache_clear()

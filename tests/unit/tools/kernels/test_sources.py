@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from numba import float64, types
 
-from tetractl.tools.kernels.sources import digest
+from tetractl.tools.kernels.sources import digest_dependencies
 
 ENTRY = """
 from numba import njit
@@ -61,7 +61,7 @@ def stranger(tmp_path, monkeypatch) -> Iterator[Any]:
         sys.dont_write_bytecode = True
         importlib.invalidate_caches()
         entry = importlib.import_module("stranger_entry")
-        return digest(entry.kernel.py_func, (float64,))
+        return digest_dependencies(entry.kernel.py_func, (float64,))
 
     yield after
     for name in files:
@@ -87,7 +87,7 @@ def test_a_constant_that_is_computed_counts_by_its_value():
         def kernel(x):
             return gain * x
 
-        return digest(kernel, (float64,))
+        return digest_dependencies(kernel, (float64,))
 
     assert digest_with(2.0) == digest_with(2.0)
     assert digest_with(2.0) != digest_with(3.0)
@@ -106,7 +106,7 @@ def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):
         importlib.import_module("stranger_lanes")
         lanes = namedtuple("Lanes", "a b", module="stranger_lanes")
         kind = types.NamedTuple([float64, float64], lanes)
-        digests.append(digest(lambda lanes: lanes, (types.Tuple([kind]),)))
+        digests.append(digest_dependencies(lambda lanes: lanes, (types.Tuple([kind]),)))
     sys.modules.pop("stranger_lanes")
     assert digests[0] != digests[1]
 

@@ -23,7 +23,7 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 from tetractl.model.motion.turn_rate import RobotParameters
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, VECTOR, inlined
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, VECTOR_SIZE, inlined
 
 NEVER_SATURATES = 1.0
 """The `saturation` of motors that always reach the turning rate of equation (3)."""
@@ -82,8 +82,8 @@ class Trace(NamedTuple):
 
 
 def width(length: int) -> int:
-    """Return the length of arrays for `length` signals: the next multiple of VECTOR."""
-    return -(-length // VECTOR) * VECTOR
+    """Return the length of arrays for `length` signals: the next multiple of VECTOR_SIZE."""
+    return -(-length // VECTOR_SIZE) * VECTOR_SIZE
 
 
 @compiled(**PART_FAST)

@@ -30,7 +30,12 @@ from tetractl.model.motion.turn_rate import (
     with_turning_derivatives,
 )
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
+from tetractl.tools.kernels.kernel_options import (
+    INLINE_FAST,
+    create_entry_reader,
+    create_selector,
+    inlined,
+)
 
 rate = inlined(turning)
 with_turning = inlined(with_turning_derivatives)
@@ -167,8 +172,8 @@ def advance(
 def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i, robot, t):
     kind = lanes.instance_class
     step = inlined(kind.advance)
-    constants_of = entries(kind.size)
-    either = one_of(kind.size)
+    constants_of = create_entry_reader(kind.size)
+    either = create_selector(kind.size)
     whole_step = inlined(kind.differentiate)
     moved_by = inlined(onwards)
 
@@ -219,7 +224,7 @@ def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int, robot: Any, t: 
 def _turned(lanes, c, s, cu, su, i, robot, t):
     kind = lanes.instance_class
     step = inlined(kind.advance)
-    constants_of = entries(kind.size)
+    constants_of = create_entry_reader(kind.size)
     whole_step = inlined(kind.differentiate)
     moved_by = inlined(onwards)
 

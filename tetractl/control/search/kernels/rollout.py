@@ -20,7 +20,7 @@ from tetractl.tools.kernels.kernel_options import (
     ENTRY_FAST,
     INLINE_FAST,
     PART_FAST,
-    VECTOR,
+    VECTOR_SIZE,
     inlined,
 )
 
@@ -78,8 +78,8 @@ def _aligned(shape: tuple[int, ...]) -> Floats:
     A vector across two lines takes twice the time.
     """
     size = math.prod(shape)
-    raw = np.empty(size + VECTOR)
-    first = -raw.ctypes.data // raw.itemsize % VECTOR
+    raw = np.empty(size + VECTOR_SIZE)
+    first = -raw.ctypes.data // raw.itemsize % VECTOR_SIZE
     return raw[first : first + size].reshape(shape)
 
 

@@ -22,7 +22,7 @@ from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import XbeeLink
 from tetractl.lab.serial_port import SWITCH_OFF_HINT
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 
 COMMAND = 0x51
 """First byte of a command."""
@@ -208,15 +208,18 @@ def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
     try:
         link.open(checked=False, exclusive=alone)
         broadcaster = Broadcaster(link, clock, ())
-        for _ in range(STOPS):
+        for _ in range(STOP_COUNT):
             broadcaster.send(cobs.Flag.EMERGENCY_STOP)
             clock.sleep_until(clock.now() + STOP_GAP_NS)
         if alone and link.request_twice(b"AP") is None:
             raise AbortError(
-                f"sent {STOPS} stops on {module.port}, but no XBee module answers at "
+                f"sent {STOP_COUNT} stops on {module.port}, but no XBee module answers at "
                 f"{module.baud} baud",
                 f"is this really the module's baud rate? {SWITCH_OFF_HINT}",
             )
     finally:
         link.close()
-    return f"sent {STOPS} stops on {module.port}; to drive the robots again, switch them off and on"
+    return (
+        f"sent {STOP_COUNT} stops on {module.port}; to drive the robots again, switch them off and "
+        "on"
+    )

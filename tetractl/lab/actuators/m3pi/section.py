@@ -13,8 +13,8 @@ from tetractl.spec.lab_section import (
     ActuatorSection,
     RobotPart,
     entry,
+    find_unknown_radii,
     mismatches,
-    unknown_radii,
 )
 from tetractl.spec.yaml.problems import Loc
 
@@ -105,7 +105,7 @@ class M3piSection(XbeeSection, ActuatorSection):
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
         yield from mismatches(indexed, setup.names, ("index",))
-        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
+        yield from find_unknown_radii(setup, [robot.radius_mm for robot in self.robots])
         for i, robot in enumerate(self.robots):
             for side, wheel in (("left", robot.left), ("right", robot.right)):
                 if wheel.dead_zone >= robot.limit:

@@ -21,7 +21,7 @@ from tetractl.lab.actuators.wheel_commands import Reply, poll_robots
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import OnReceived, PortFactory, PortGroup, stop_all_at
 from tetractl.lab.udp_port import open_port
-from tetractl.tools.worker import WAITING_MAX, drained
+from tetractl.tools.worker import QUEUE_MAX, take_all
 
 PORT_LOST_HINT = "the robots stop by their watchdog; connect the robots again, and restart the run"
 PENDING_MAX = 1000
@@ -54,7 +54,7 @@ class TwistLink(PortGroup):
         """For each port, the indices of the robots that receive its lines."""
         for index, name in zip(self._indices, names, strict=True):
             self._indices_by_port.setdefault(section.port_of(name), set()).add(index)
-        self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
+        self._replies: deque[Reply] = deque(maxlen=QUEUE_MAX)
         self._unfinished_lines: dict[str, bytes] = {}
         self._sequence = clock.now() % 256  # an unpredictable first number
         create_port = ports or open_port
@@ -115,7 +115,7 @@ class TwistLink(PortGroup):
                 if the port fails.
         """
         wait_for(self._clock, lambda: bool(self._replies) or self.failure is not None, timeout_s)
-        return drained(self._replies)
+        return take_all(self._replies)
 
     def _send(self, flags: Flag, entries: Sequence[RobotEntry]) -> int:
         """Send each port a line for its robots, and return the time of sending [ns].

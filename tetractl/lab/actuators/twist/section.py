@@ -12,9 +12,9 @@ from tetractl.spec.lab_section import (
     ActuatorSection,
     RobotPart,
     entry,
+    find_unknown_radii,
     mismatches,
     too_fast,
-    unknown_radii,
 )
 from tetractl.spec.yaml.problems import Loc
 
@@ -82,7 +82,7 @@ class TwistSection(ActuatorSection):
         ]
         yield from mismatches(indexed, setup.names, ("index",))
         yield from too_fast(setup, self.speed_max_mm_s)
-        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
+        yield from find_unknown_radii(setup, [robot.radius_mm for robot in self.robots])
         ports: list[tuple[Loc, str]] = [(("port",), self.port)]
         for i, robot in enumerate(self.robots):
             if robot.port is not None:

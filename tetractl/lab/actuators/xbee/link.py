@@ -16,7 +16,7 @@ from tetractl.lab.actuators.xbee.hardware import (
     find_protocols,
 )
 from tetractl.lab.serial_port import PortFactory, SerialPort
-from tetractl.tools.worker import WAITING_MAX, drained
+from tetractl.tools.worker import QUEUE_MAX, take_all
 
 MODULE_LOST_HINT = (
     "the robots stop by their watchdog; plug the module in again, and restart the run"
@@ -41,7 +41,7 @@ class XbeeLink:
         self.radio = radio
         self.questions: tuple[str, ...] = ()
         self._decoder = frames.Decoder()
-        self._received_data: deque[bytes] = deque(maxlen=WAITING_MAX)
+        self._received_data: deque[bytes] = deque(maxlen=QUEUE_MAX)
         self._answers: dict[tuple[int, bytes], bytes | None] = {}
         """Answers since the last request, by its number and two letters. None for an error."""
         self._frame_id = 0
@@ -100,7 +100,7 @@ class XbeeLink:
 
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
-        return drained(self._received_data)
+        return take_all(self._received_data)
 
     def wait(self, timeout_s: float) -> None:
         """Wait until data from other modules can be fetched, for at most `timeout_s` seconds."""

@@ -27,7 +27,7 @@ from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
 from tetractl.lab.cameras.optitrack.stream import UNITS_SETTING, UP_AXIS_SETTING, NatNetStream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack_message
 from tetractl.spec.lab_section import entry
-from tetractl.tools.worker import WAITING_MAX, drained
+from tetractl.tools.worker import QUEUE_MAX, take_all
 
 REQUEST_INTERVAL_NS = SECOND // 4
 """Time after which an unanswered request is repeated [ns]."""
@@ -76,7 +76,7 @@ class OptitrackCamera:
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
         self.stream = NatNetStream(robots, placement, self._requested_version, up)
-        self._new_frames: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
+        self._new_frames: deque[CameraFrame] = deque(maxlen=QUEUE_MAX)
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
         self._due_ns_by_request: dict[str, int] = {}
@@ -165,7 +165,7 @@ class OptitrackCamera:
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames received since the last call, oldest first."""
-        return drained(self._new_frames)
+        return take_all(self._new_frames)
 
     def __exit__(self, *_: object) -> None:
         """Disconnect and end the receiver's thread.

@@ -7,7 +7,7 @@ from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobo
 from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
 from tetractl.lab.cameras.optitrack.stream import NatNetStream
 from tetractl.lab.cameras.optitrack.wire import parse_datagram
-from tetractl.spec.yaml.problems import SHOWN_LENGTH, did_you_mean
+from tetractl.spec.yaml.problems import SHOWN_LENGTH, suggest_similar
 
 BODIES_SHOWN_MAX = 12
 """Maximum number of rigid bodies that a message lists."""
@@ -211,7 +211,7 @@ def _describe_missing_body(
         unassigned = [
             printable(body_name, SHOWN_LENGTH) for body_name in ids if body_name not in assigned
         ]
-        suggestion = did_you_mean(body, unassigned)
+        suggestion = suggest_similar(body, unassigned)
     else:
         description = f"rigid body with id {body} for {name}"
         closest = min(stream.streamed_ids, key=lambda number: abs(number - body), default=None)

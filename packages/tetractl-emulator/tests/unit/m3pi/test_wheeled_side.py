@@ -17,7 +17,7 @@ from tetractl_emulator.m3pi.wheeled_side import (
 )
 
 from tetractl.core.clock import SECOND
-from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+from tetractl.spec.lab_section import STOP_COUNT, STOP_GAP_NS
 from tetractl.spec.load import parse_spec
 
 
@@ -52,7 +52,7 @@ def test_another_sender_sends_ten_stops_at_the_usual_times():
     side.stop_from_other_program()
     side.timeline.run_to(3 * SECOND)
     for radio in side.radios:
-        assert radio.stopped == [(k * STOP_GAP_NS, k) for k in range(STOPS)]
+        assert radio.stopped == [(k * STOP_GAP_NS, k) for k in range(STOP_COUNT)]
 
 
 @pytest.mark.parametrize("follows", [False, True])

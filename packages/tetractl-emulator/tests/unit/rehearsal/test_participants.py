@@ -11,7 +11,7 @@ from tetractl_emulator.script import DeviceClasses, parse_script
 from tetractl_emulator.twist.side import EmulatedTwist
 
 from tetractl.spec.load import load_spec, parse_spec
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.yaml.core_yaml import format_yaml
 
 
 def lab_of(spec):
@@ -38,13 +38,13 @@ def test_days_of_cells_and_of_pictures_are_valid_scripts(name):
     loaded = loaded if name == "tags" else load_spec(EXAMPLES / f"{name}.yaml")
     lab = loaded.experiment.lab
     setup = loaded.experiment.setup
-    chosen = loaded.experiment.open
+    chosen = loaded.experiment.must_choose_robots
     met = set()
     for day in range(400):
         plan = plan_of_day(1, day, lab, setup, chosen)
         met |= {fault["kind"] for fault in plan.faults}
         if day % 4 == 0:
-            text = dump(plan.script())
+            text = format_yaml(plan.script())
             script = parse_script(text, "day.yaml", lab.camera.type, lab.actuator.type)
             assert len(script.faults) == len(plan.faults)
             assert bool(script.emulation.robots) == (not chosen)
@@ -61,7 +61,7 @@ def test_cells_can_have_what_pictures_coils_and_cells_have_and_nothing_of_wheels
 
 def test_one_robot_is_not_swapped_with_itself():
     lab, setup = lab_of(SPEC)
-    of_one = {row.fault for row in rows_of(lab, setup.only([0]))}
+    of_one = {row.fault for row in rows_of(lab, setup.select_robots([0]))}
     assert {row.fault for row in rows_of(lab, setup)} - of_one == {
         "swap",
         "swapped_numbers",
@@ -74,7 +74,7 @@ def test_days_of_lines_are_valid_scripts_with_a_world_of_their_own():
     lab, setup = lab_of(TWIST_SPEC)
     for day in range(100):
         plan = plan_of_day(1, day, lab, setup)
-        script = parse_script(dump(plan.script()), "day.yaml", "optitrack", "twist")
+        script = parse_script(format_yaml(plan.script()), "day.yaml", "optitrack", "twist")
         assert len(script.faults) == len(plan.faults)
         assert {robot.name for robot in script.emulation.actuator.robots} == {"green", "blue"}
 

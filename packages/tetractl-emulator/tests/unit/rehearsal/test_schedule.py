@@ -20,7 +20,7 @@ from tetractl_emulator.rehearsal.day_plan import (
 from tetractl_emulator.script import parse_script
 
 from tetractl.spec.load import load_spec
-from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.yaml.core_yaml import format_yaml
 
 NAMES = ("green", "blue", "red")
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
@@ -56,7 +56,7 @@ def test_some_trials_are_short_and_some_robots_are_driven_blindly_by_settings_of
     assert 2.0 <= load_spec(SPEC, [short[0]]).experiment.controller.time_limit <= 8.0
     script = DayPlan(1, {}, [], (short[0],)).script()
     assert script["runner"] == {"set": [short[0]]}
-    parsed = parse_script(dump(script), "day.yaml", "optitrack", "m3pi-xbee")
+    parsed = parse_script(format_yaml(script), "day.yaml", "optitrack", "m3pi-xbee")
     assert parsed.runner == {"set": (short[0],)}
 
 
@@ -91,7 +91,7 @@ def test_on_half_of_the_blind_days_two_robots_start_face_to_face():
 def test_every_tenth_day_is_a_valid_script():
     for day in range(0, 3000, 10):
         plan = plan_of_day(1, day, *LAB)
-        script = parse_script(dump(plan.script()), "day.yaml", "optitrack", "m3pi-xbee")
+        script = parse_script(format_yaml(plan.script()), "day.yaml", "optitrack", "m3pi-xbee")
         assert len(script.faults) == len(plan.faults)
 
 

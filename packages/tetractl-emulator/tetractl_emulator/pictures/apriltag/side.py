@@ -17,8 +17,8 @@ from tetractl_microscope.apriltag.detect import MODULES, tag_picture
 from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Grey, Poses
-from tetractl.core.setup import MM
+from tetractl.core.poses import Floats, GreyImage, Poses
+from tetractl.core.setup import MILLIMETRE_M
 from tetractl.spec.base import Model, Name, NonNegative
 from tetractl.spec.lab_section import entry
 from tetractl_emulator.fault_rows import CAMERA_REASONS, FaultRow
@@ -82,7 +82,7 @@ class Optics:
         """
         centres = np.array([tag.at for tag in floor]) * metres
         # from the centre of the largest card to its corner, rounded up [m]
-        margin_m = 0.75 * max(tag.size_mm for tag in floor) * MM
+        margin_m = 0.75 * max(tag.size_mm for tag in floor) * MILLIMETRE_M
         low = centres.min(axis=0) - margin_m
         high = centres.max(axis=0) + margin_m
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
@@ -192,7 +192,7 @@ class Renderer:
         self._pictures = 0
         self._corner = -1, -1  # of the last picture's noise, in the larger array
 
-    def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
+    def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> GreyImage:
         """Render the image of an exposure, shape (height, width).
 
         Args:
@@ -237,12 +237,14 @@ class Renderer:
         `position` is in length units of the spec, and `heading` in rad. `side_mm` is the side of
         the tag without its white margin.
         """
-        half = side_mm * MM * CARD / MODULES / 2
+        half = side_mm * MILLIMETRE_M * CARD / MODULES / 2
         square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
         cos = math.cos(heading)
         sin = math.sin(heading)
         corners_m = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(position)
-        return self.optics.project(np.column_stack([corners_m, np.full(4, height_mm * MM)]))
+        return self.optics.project(
+            np.column_stack([corners_m, np.full(4, height_mm * MILLIMETRE_M)])
+        )
 
     def _background(self) -> Shades:
         """Return the image of the floor with its tags. It is redrawn if `hidden` has changed."""
@@ -287,7 +289,7 @@ class Renderer:
         region *= 1 - ink[..., 1]
         region += ink[..., 0]
 
-    def _finished(self, canvas: Shades) -> Grey:
+    def _finished(self, canvas: Shades) -> GreyImage:
         """Apply distortion, blur, noise and gain to an image, and round it to grey levels.
 
         Grey levels are limited to 0 to 255.
@@ -400,7 +402,7 @@ class EmulatedAprilTag(StreamedCamera):
             [(body.x / unit_mm, body.y / unit_mm, body.heading) for body in self._bodies]
         )
 
-    def _draw(self, exposed_ns: int) -> Grey:
+    def _draw(self, exposed_ns: int) -> GreyImage:
         """Render the image of an exposure at a time [ns].
 
         Robots that are carried or covered have no tag.

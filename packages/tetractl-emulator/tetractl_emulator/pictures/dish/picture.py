@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Bools, Floats, Grey
+from tetractl.core.poses import Bools, Floats, GreyImage
 from tetractl.model.swimmers import Bodies, Swimmers
 from tetractl_emulator.pictures.stream_side import SPARE_PX
 
@@ -173,7 +173,7 @@ class DishPainter:
 
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], is_shown: Bools, seconds: float
-    ) -> Grey:
+    ) -> GreyImage:
         """Draw a grey image of N cells, shape (height, width).
 
         Args:

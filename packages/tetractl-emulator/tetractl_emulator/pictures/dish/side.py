@@ -12,7 +12,7 @@ from tetractl_microscope.cells.section import CellsSection
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Floats, GreyImage
 from tetractl.core.setup import Setup
 from tetractl.model.swimmers import Bodies, bodies
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
@@ -196,7 +196,7 @@ class EmulatedMicroscope(StreamedCamera):
             look = replace(look, specks=(*look.specks, rim))
         return look
 
-    def _draw(self, exposed_ns: int) -> Grey:
+    def _draw(self, exposed_ns: int) -> GreyImage:
         """Draw the image of an exposure, averaged over the motion during the exposure.
 
         `exposed_ns` is the middle of the exposure [ns]. A cell that divides during the exposure

@@ -7,7 +7,7 @@ from testkit.cli import tetractl
 from testkit.emulator.virtual_lab import DISH
 
 from tetractl.spec.load import load_spec
-from tetractl.spec.plants import calibrated, on_plant
+from tetractl.spec.plants import apply_calibration, select_plant
 
 pytestmark = pytest.mark.slow
 
@@ -28,8 +28,8 @@ def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measure
     done = tetractl(tmp_path, "lab", "survey", DISH, f"--micrometer={places}", "-o", out)
     assert done.returncode == 0, done.stderr
     assert "2.3000 um/px" in done.stdout
-    loaded = on_plant(load_spec(DISH), "lab")
-    camera = calibrated(loaded.experiment, out.read_text(), "scale.yaml").plant.camera
+    loaded = select_plant(load_spec(DISH), "lab")
+    camera = apply_calibration(loaded.experiment, out.read_text(), "scale.yaml").plant.camera
     assert camera.um_px == pytest.approx(um_px)
     assert camera.rotation == pytest.approx(rotation)
     start = camera.placed(first[0] * um_px, -first[1] * um_px, 1e-6)

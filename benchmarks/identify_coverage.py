@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from tetractl_identify.identify import identify
-from tetractl_identify.tracks import track_of
+from tetractl_identify.tracks import extract_track
 
 import tetractl
 from tetractl.core.clock import SECOND, VirtualClock
@@ -60,7 +60,7 @@ def coverage(number: int, rate: float):
     spec = tetractl.load_spec(SPEC, f"trials.seed={number}", *sets, *NOISE)
     with TemporaryDirectory() as folder:
         log = tetractl.run_trial(spec, folder=folder)
-    identified = identify([track_of(log)], spec.experiment.setup.a)
+    identified = identify([extract_track(log)], spec.experiment.setup.a)
     facts = log.start.plant.facts
     hits = _hits(
         identified,
@@ -93,7 +93,7 @@ def bench_coverage(number: int):
         axis=0
     )  # of true speed to that sent, of both wheels
     a = plant.a * gains * experiment.setup.wheel_radius / drive.radius
-    identified = identify([track_of(log)], experiment.setup.a, experiment.controller.dead_time)
+    identified = identify([extract_track(log)], experiment.setup.a, experiment.controller.dead_time)
     hits = _hits(identified, {"a": a})
     hits["dead_time"].append(identified.dead_time.low <= RADIO_S <= identified.dead_time.high)
     return hits
@@ -116,9 +116,9 @@ def main() -> None:
             total[name] += hits_of_value
     print("share of 95 % intervals that contain the true value (simulated logs)")
     for name, hits in total.items():
-        share = proportion_interval(sum(hits), len(hits))
-        low = 100 * share.low
-        high = 100 * share.high
+        coverage_interval = proportion_interval(sum(hits), len(hits))
+        low = 100 * coverage_interval.low
+        high = 100 * coverage_interval.high
         print(
             f"  {name:16} {100 * np.mean(hits):5.1f} %  ({low:.1f} to {high:.1f}; n = {len(hits)})"
         )

@@ -87,11 +87,14 @@ def main() -> None:
 def _coverage_of_one_mean(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: how often intervals contain a mean."""
     rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
-    ours = [distribution.ci95 for distribution in distributions(rows)]
+    own_intervals = [distribution.ci95 for distribution in distributions(rows)]
     half_widths = scipy.stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
     means = rows.mean(axis=1)
-    student = [Interval(m - h, m + h) for m, h in zip(means, half_widths, strict=True)]
-    methods = ours, student, _bca_intervals(rows[:BCA_SETS])
+    student = [
+        Interval(mean - half_width, mean + half_width)
+        for mean, half_width in zip(means, half_widths, strict=True)
+    ]
+    methods = own_intervals, student, _bca_intervals(rows[:BCA_SETS])
     return " | ".join(_format_percent(_coverage(intervals, errors.mean)) for intervals in methods)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from tetractl_identify.identify import cell
-from tetractl_identify.response import respond
+from tetractl_identify.response import fit_responses
 from tetractl_identify.robot_response import UNITS
 from tetractl_identify.tracks import Track
 
@@ -57,12 +57,12 @@ def read_track(folder: Path, robot: int) -> Track:
         origin="MRCLAM",
         unit="m",
         names=(name,),
-        time=poses[:, 0],
+        time_s=poses[:, 0],
         poses=poses[:, None, 1:],
         valid=np.ones((len(poses), 1), dtype=np.bool_),
-        sent=commands[:, 0],
-        u=np.full(len(commands), np.nan),
-        until=float(commands[-1, 0]),
+        sent_s=commands[:, 0],
+        direction_rad=np.full(len(commands), np.nan),
+        stop_s=float(commands[-1, 0]),
         twists=commands[:, None, 1:],
     )
 
@@ -92,7 +92,7 @@ def main(folders: list[Path]) -> None:
     ]
     if len(runs) < 2:
         raise UsageError("two runs are needed: folders with files such as Robot1_Odometry.dat")
-    responses = [respond([read_track(*run)])[0] for run in runs]
+    responses = [fit_responses([read_track(*run)])[0] for run in runs]
     values_by_quantity = []  # of the runs, of each quantity
     widths_by_quantity = []
     units = {name: UNITS[name] for name in responses[0].quantities}

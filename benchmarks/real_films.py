@@ -94,8 +94,8 @@ def track_cells(
         The positions at which the tracker sees cells, shape (N, 6), in the columns named above.
     """
     tracker = CellTracker(um_px, field_known=False, organism=organism)
-    first = images[: max(LEARNING_IMAGES, round(LEARNING_S * rate_hz))]
-    tracker.finder.learn(list(first[:: max(1, len(first) // LEARNING_IMAGES)]))
+    learning_images = images[: max(LEARNING_IMAGES, round(LEARNING_S * rate_hz))]
+    tracker.finder.learn(list(learning_images[:: max(1, len(learning_images) // LEARNING_IMAGES)]))
     rows = []
     for number, image in enumerate(images):
         for cell in tracker.track_image(image, number / rate_hz, no_field):
@@ -213,24 +213,24 @@ def check_links(forwards: np.ndarray, backwards: np.ndarray, count: int) -> Link
     links = []
     for rows_of_cell in _group_by_cell(forwards).values():
         for number in list(rows_of_cell)[::LINK_STRIDE]:
-            first = rows_of_cell[number]
-            second = rows_of_cell.get(number + LINK_LENGTH)
-            if second is None or not (first[IS_SURE] and second[IS_SURE]):
+            first_row = rows_of_cell[number]
+            second_row = rows_of_cell.get(number + LINK_LENGTH)
+            if second_row is None or not (first_row[IS_SURE] and second_row[IS_SURE]):
                 continue
             nearest = min(
-                reverse_by_image[number], key=lambda row: _distance_px(row, first), default=None
+                reverse_by_image[number], key=lambda row: _distance_px(row, first_row), default=None
             )
-            if nearest is None or _distance_px(nearest, first) >= LINKED_PX:
+            if nearest is None or _distance_px(nearest, first_row) >= LINKED_PX:
                 continue
             row_of_reverse = reverse_by_cell[nearest[NUMBER]].get(number + LINK_LENGTH)
             if row_of_reverse is not None:
-                is_wrong = _distance_px(row_of_reverse, second) >= ELSEWHERE_PX
+                is_wrong = _distance_px(row_of_reverse, second_row) >= ELSEWHERE_PX
                 links.append((is_wrong, bool(nearest[IS_SURE] and row_of_reverse[IS_SURE])))
     return Links(
         sure=len(links),
         contradicted=sum(is_wrong for is_wrong, _ in links),
-        both_sure=sum(both for _, both in links),
-        both_contradicted=sum(is_wrong and both for is_wrong, both in links),
+        both_sure=sum(is_both_sure for _, is_both_sure in links),
+        both_contradicted=sum(is_wrong and is_both_sure for is_wrong, is_both_sure in links),
     )
 
 
@@ -250,8 +250,8 @@ def format_fraction(successes: int, count: int) -> str:
     """Format a fraction with its 95 % interval."""
     if not count:
         return "none"
-    ends = proportion_interval(successes, count)
-    return f"{successes} of {count} ({100 * ends.low:.1f} to {100 * ends.high:.1f} %)"
+    interval = proportion_interval(successes, count)
+    return f"{successes} of {count} ({100 * interval.low:.1f} to {100 * interval.high:.1f} %)"
 
 
 def main() -> None:
@@ -269,20 +269,21 @@ def main() -> None:
     except TetractlError as error:
         sys.exit(f"error: {error.message}")
     forwards, backwards = (
-        track_cells(way, rate_hz, chosen.scale, organism) for way in (images, images[::-1])
+        track_cells(film_images, rate_hz, chosen.scale, organism)
+        for film_images in (images, images[::-1])
     )
     bodies = find_bodies(images, chosen.threshold)
     links = check_links(forwards, backwards, len(images))
     cells = len(np.unique(forwards[:, NUMBER]))
     print(f"{chosen.film.name}: {len(images)} images at {rate_hz:g} Hz, {cells} numbers")
-    for kind, rows in (
+    for label, rows in (
         ("positions", forwards),
         ("sure positions", forwards[forwards[:, IS_SURE] > 0]),
     ):
         without_moving = format_fraction(*count_without_body(rows, bodies.moving))
         without_any = format_fraction(*count_without_body(rows, bodies.any))
-        print(f"{kind} without a body that moves: {without_moving}")
-        print(f"{kind} without any body: {without_any}")
+        print(f"{label} without a body that moves: {without_moving}")
+        print(f"{label} without any body: {without_any}")
     areas_without = fraction_without_body(bodies.moving), fraction_without_body(bodies.any)
     print("area without a body that moves: {:.0%}, without any body: {:.0%}".format(*areas_without))
     print(f"sure links contradicted: {format_fraction(links.contradicted, links.sure)}")

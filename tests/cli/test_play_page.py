@@ -15,7 +15,7 @@ from tetractl.run.hand import HandController, run_by_hand
 from tetractl.run.open_trial import directed_spec
 from tetractl.run.undisturbed import undisturbed_spec
 from tetractl.spec.load import load_spec, parse_spec
-from tetractl.view.terminal.hand_keys import read_script
+from tetractl.view.terminal.hand_keys import read_key_script
 
 pytestmark = pytest.mark.slow
 
@@ -112,7 +112,7 @@ def test_the_page_and_a_script_of_keys_end_at_the_same_poses(browser, tmp_path):
     """Of each shipped spec that can be played, without its disturbances, within 1e-6 mm."""
     file = tmp_path / "keys.txt"
     file.write_text("".join(f"{seconds} {key}\n" for seconds, key in KEYS))
-    keys = read_script(file)
+    keys = read_key_script(file)
     for name in PLAYABLE:
         spec = load_spec(ROOT / "experiments" / f"{name}.yaml")
         directed = directed_spec(undisturbed_spec(spec))

@@ -18,7 +18,7 @@ from testkit.trials import three_robots, write_torn, write_trial
 from tetractl.cli.plot import plot
 from tetractl.core.registries import FIGURES
 from tetractl.log.read.reader import read_trial
-from tetractl.view.plan_words import search_end
+from tetractl.view.plan_words import describe_search_end
 
 pytestmark = pytest.mark.slow
 
@@ -156,7 +156,7 @@ def test_without_a_terminal_one_line_a_step(folder):
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line
         assert f"evaluations {step.plan.evaluations} " in line
-        assert line.endswith(search_end(step.plan.search))
+        assert line.endswith(describe_search_end(step.plan.search))
     assert "\x1b" not in done.stdout
 
 

@@ -65,7 +65,7 @@ def run_batch(
     from tetractl.run.executors import local_executor
     from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks
-    from tetractl.view.terminal.progress import progress_of_script
+    from tetractl.view.terminal.progress import create_script_progress
 
     spec = as_spec(spec)
     require_type(folder, str | Path, "the folder must be a path")
@@ -79,7 +79,7 @@ def run_batch(
         todo = store.unfinished
         tasks = batch_tasks(spec, todo)
         executor = local_executor(jobs, len(todo), interrupt)
-        watcher = _Watcher(on_result, progress_of_script(len(todo)) if progress else None)
+        watcher = _Watcher(on_result, create_script_progress(len(todo)) if progress else None)
         on_failure = batch.OnFailure.of_batch(spec.experiment.plant)
         report = batch.run_batch(tasks, store, executor, watcher, on_failure)
     for error in report.errors.values():
@@ -124,7 +124,7 @@ def run_study(
     from tetractl.statistics.open_batch import Batches
     from tetractl.study import arm_table, figure, missing_trials
     from tetractl.study.load_study import load_study
-    from tetractl.view.terminal.progress import progress_of_script
+    from tetractl.view.terminal.progress import create_script_progress
 
     if folder is not None:
         require_type(folder, str | Path, "the folder must be a path")
@@ -141,7 +141,7 @@ def run_study(
         tasks, _ = missing_trials.unfinished_tasks(loaded, store, rerun_outdated=False)
         missing_trials.warm_up_arms(loaded, announcer(progress))
         executor = local_executor(jobs, len(tasks), interrupt)
-        watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)
+        watcher = _Watcher(_ignore, create_script_progress(len(tasks)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher)
         arm_table.write_table(loaded, store)
         figure.write_figures(loaded, store)

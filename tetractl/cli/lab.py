@@ -54,7 +54,7 @@ def check(
     from tetractl.lab.preflight import Preflight, inspect_lab
     from tetractl.run.model_changes import LATENCY_FIELD, stated_model
     from tetractl.run.practice import practise
-    from tetractl.view.terminal.findings import preflight_items, print_findings
+    from tetractl.view.terminal.findings import create_preflight_items, print_findings
 
     loaded = _load_for_plant(spec, sets, plant)
     experiment = loaded.experiment
@@ -76,7 +76,7 @@ def check(
     with interrupted_once(robots_move=True):
         preflight = inspect_lab(rig, with_practice)
     if as_json:
-        print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
+        print(dumps(create_preflight_items(preflight), indent=2, allow_nan=False))
     else:
         print_findings(preflight, LATENCY_FIELD in stated_model(experiment).delay_fields)
     if not preflight.can_start:

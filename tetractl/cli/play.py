@@ -104,8 +104,8 @@ def play(
     from tetractl.run.folder_lock import locked
     from tetractl.run.open_trial import directed_spec
     from tetractl.spec.yaml.settings import FieldValue
-    from tetractl.view.terminal.hand_keys import read_script
-    from tetractl.view.terminal.screen import shows_pictures
+    from tetractl.view.terminal.hand_keys import read_key_script
+    from tetractl.view.terminal.screen import can_show_screens
 
     loaded = load_to_run(spec, sets or [], plant, [FieldValue("trials.seed", seed, "--seed")])
     if html is not None:
@@ -117,9 +117,9 @@ def play(
     directed = directed_spec(loaded)
     experiment = loaded.experiment
     in_lab = experiment.plant.real_time
-    timed_keys = None if script is None else read_script(script)
+    timed_keys = None if script is None else read_key_script(script)
     console = open_console(stderr=True)
-    if timed_keys is None and not (has_keys() and shows_pictures(console)):
+    if timed_keys is None and not (has_keys() and can_show_screens(console)):
         raise UsageError(
             "play reads keys from a terminal with UTF-8, and there is none here",
             "in a cell of a notebook or without a terminal, give the keys in a file with "
@@ -272,9 +272,9 @@ class Game:
 
 def _play_in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     """Let a person steer the robots of a lab once, by keys of the terminal."""
-    from tetractl.view.terminal.hand_keys import LAB_HINTS, HandKeys, task
+    from tetractl.view.terminal.hand_keys import LAB_HINTS, HandKeys, describe_task
     from tetractl.view.terminal.keys import StopKey
-    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
+    from tetractl.view.terminal.live_screen import LabView, TerminalPrompt
 
     experiment = game.experiment
     interrupt = game.interrupt
@@ -282,13 +282,13 @@ def _play_in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     entered = threading.Event()
     keys = HandKeys(has_ended=lambda: interrupt.requested or emergency.is_set())
     prompt = TerminalPrompt(console, entered) if ask_to_place else None
-    watch = LabWatch(
+    watch = LabView(
         console,
         console,
         experiment.units.length,
         live=True,
         hints=LAB_HINTS,
-        aside=task(experiment.setup, disturbed=True),
+        side_text=describe_task(experiment.setup, disturbed=True),
     )
     with StopKey(emergency.set, entered.set, steer=keys.press), keys:
         console.print("; ".join(LAB_HINTS), style="bold", highlight=False)
@@ -298,13 +298,13 @@ def _play_in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
 
 def _play_on_terminal(game: Game, console: "Console", speed: float) -> None:
     """Let a person steer simulated robots by keys, repeatedly, and the controller once."""
-    from tetractl.view.terminal.hand_keys import AGAIN, GO_ON
+    from tetractl.view.terminal.hand_keys import CONTINUE_KEY, REPEAT_KEY
 
     pressed_key = _run_own_trial(game, console, speed)
     while not game.over:
-        if pressed_key == AGAIN:
+        if pressed_key == REPEAT_KEY:
             pressed_key = _run_own_trial(game, console, speed)
-        elif pressed_key == GO_ON and game.controller_result is None:
+        elif pressed_key == CONTINUE_KEY and game.controller_result is None:
             pressed_key = _run_controller_trial(game, console, speed)
         else:
             return
@@ -312,7 +312,14 @@ def _play_on_terminal(game: Game, console: "Console", speed: float) -> None:
 
 def _run_own_trial(game: Game, console: "Console", speed: float) -> str:
     """Run and show a trial that the person steers. Return the key that was pressed at its end."""
-    from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, PAUSED, WHY, HandKeys, task
+    from tetractl.view.terminal.hand_keys import (
+        HINTS,
+        LAB_HINTS,
+        PAUSED_TEXT,
+        WHY_HARD_TEXT,
+        HandKeys,
+        describe_task,
+    )
     from tetractl.view.terminal.live_screen import LiveView
 
     interrupt = game.interrupt
@@ -320,24 +327,28 @@ def _run_own_trial(game: Game, console: "Console", speed: float) -> str:
     emergency = threading.Event()
     keys = HandKeys(lambda: interrupt.requested or emergency.is_set(), can_pause=simulated)
     hints = HINTS if simulated else LAB_HINTS
-    side_text = task(game.experiment.setup, game.experiment.plant.disturbed or not simulated)
-    view = LiveView(console, hints=hints, aside=side_text, plain=True)
+    side_text = describe_task(
+        game.experiment.setup, game.experiment.plant.disturbed or not simulated
+    )
+    view = LiveView(console, hints=hints, side_text=side_text, steered_by_hand=True)
     stop = keys.stop if simulated else emergency.set
 
     def pause(plan_of: "Callable[[float], Plan]") -> None:
         if keys.pauses:
-            view.say(PAUSED, "arrows: try", "P: go on")
+            view.show_text(PAUSED_TEXT, "arrows: try", "P: go on")
             keys.await_end_of_pause(lambda direction: view.preview(plan_of(direction), direction))
-            view.say(side_text, *hints)
+            view.show_text(side_text, *hints)
 
     def say_at_end(result: "Result") -> None:
         own_result = f"You: {_describe_result(result, game.experiment)}"
         if _is_aborted(result):
             own_result = f"{own_result}. This try is lost"
         if game.controller_result is None:
-            view.say(f"{own_result}. {WHY}", "ENTER: the controller", "R: again")
+            view.show_text(f"{own_result}. {WHY_HARD_TEXT}", "ENTER: the controller", "R: again")
         else:
-            view.say(f"{own_result}. Before: {_summarise_game(game)}.", "R: again", "ENTER: end")
+            view.show_text(
+                f"{own_result}. Before: {_summarise_game(game)}.", "R: again", "ENTER: end"
+            )
 
     with _open_screen_with_keys(keys, view, stop):
         observers = _build_observers(view, keys, speed, say_at_end)
@@ -356,11 +367,11 @@ def _run_controller_trial(game: Game, console: "Console", speed: float) -> str:
         f"{own_result} Now the controller steers from the same start. The dots show its plan, "
         "which it makes again at each step."
     )
-    view = LiveView(console, aside=side_text, plain=True)
+    view = LiveView(console, side_text=side_text, steered_by_hand=True)
 
     def say_at_end(result: "Result") -> None:
         controller_result = f"The controller: {_describe_result(result, game.experiment)}."
-        view.say(
+        view.show_text(
             f"{own_result} {controller_result} {CONTROLLER_NOTE}", "R: steer again", "ENTER: end"
         )
 
@@ -390,7 +401,7 @@ def _build_observers(
     from tetractl.run.hand import EndNotifier, WallPace
 
     def at_end(result: "Result") -> None:
-        keys.forget()  # before the words are on the screen: a key that answers counts
+        keys.forget_answer()  # before the words are on the screen: a key that answers counts
         say_at_end(result)
 
     return [view, WallPace(MonotonicClock(), speed), EndNotifier(at_end)]

@@ -60,12 +60,12 @@ def plot(
 
 def _video(logs: list[Path], out: Path | None) -> int:
     """Write the video of one trial, print the name of its file, and return the exit code."""
-    from tetractl.view.video import check_file, write_video
+    from tetractl.view.video import check_video_file, write_video
 
     if len(logs) > 1:
         raise UsageError(f"a video shows a single trial, but {len(logs)} are given", "give one log")
     path = out or _default_name(logs, VIDEO).with_suffix(".gif")
-    check_file(path)
+    check_video_file(path)
     log = ui.open_trial(logs[0])
     with ui.show_progress("Drawing") as on_picture:
         speed = write_video(log, path, on_picture)

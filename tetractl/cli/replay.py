@@ -46,13 +46,13 @@ def replay(
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
-    from tetractl.view.terminal.screen import shows_pictures
+    from tetractl.view.terminal.screen import can_show_screens
 
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, not {rate:g}")
     paths = find_logs(logs)
     console = open_console()
-    on_screen = has_keys() and shows_pictures(console)
+    on_screen = has_keys() and can_show_screens(console)
     if paused and not on_screen:
         raise UsageError("--paused needs a terminal, because a key continues the replay")
     if loop and not on_screen and len(paths) > 1:

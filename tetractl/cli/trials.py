@@ -279,13 +279,13 @@ def _run_trials(
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.hand import WallPace
     from tetractl.run.task import batch_tasks
-    from tetractl.view.terminal.screen import shows_pictures
+    from tetractl.view.terminal.screen import can_show_screens
 
     if options.rate is not None:
         viewers = [*viewers, WallPace(MonotonicClock(), options.rate)]
     tasks = batch_tasks(loaded, planned)
     console = open_console(stderr=True, quiet=options.quiet)
-    screen = shows_pictures(console) and not options.quiet
+    screen = can_show_screens(console) and not options.quiet
     if loaded.experiment.plant.real_time:
         display = _prepare_in_lab(loaded.experiment, console, screen, options, interrupt, viewers)
     elif screen and options.jobs == 1:
@@ -315,7 +315,7 @@ def _prepare_in_lab(
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.executors import InProcessExecutor
     from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
-    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
+    from tetractl.view.terminal.live_screen import LabView, TerminalPrompt
 
     stop_console = open_console(stderr=True)  # prints with --quiet, too
     emergency = threading.Event()
@@ -326,7 +326,7 @@ def _prepare_in_lab(
         asks_person = key.listening and not options.yes
         prompt = TerminalPrompt(stop_console, entered) if asks_person else None
         supervision = LabSupervision(emergency, prompt, lambda: interrupt.requested)
-        watch = LabWatch(
+        watch = LabView(
             stop_console, console, experiment.units.length, has_screen and key.listening
         )
         yield InProcessExecutor(interrupt, [watch, *viewers], supervision), watch

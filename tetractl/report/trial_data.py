@@ -19,8 +19,8 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.statistics.built_in_statistics import MEANINGS
 from tetractl.verification.dish_pictures import REPORT_IMAGES_MAX, DishPictures
-from tetractl.view.plan_words import doing, search_end
-from tetractl.view.player import end_ns, first_seen
+from tetractl.view.plan_words import describe_activity, describe_search_end
+from tetractl.view.player import find_end_ns, find_first_positions
 
 PLAN_DECIMALS_FEWER = 3
 """Number of decimals that positions in plans have less than measured positions.
@@ -59,11 +59,11 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     Lengths are in `unit`, times [s] count from the first direction sent. `frames.xy` (M, N, 2) and
     `frames.heading` (M, N) are measured poses, thinned to `SHOWN_HZ`. For each of K control steps,
     `steps` contains time, direction u (None while robots stand still or turn on the spot, which
-    `doing` states), solve time, and cost J and number of signals of the plan unless the robots
-    stand still. `final` are the poses and errors of the result, at the time `end`. With `plans`,
-    `plan` contains the predicted positions (K, H, N, 2) and `history` the values of J over the
-    chosen search's iterations; H differs from step to step. `dish` contains a microscope's images,
-    for a trial with `plans`.
+    `describe_activity` states), solve time, and cost J and number of signals of the plan unless the
+    robots stand still. `final` are the poses and errors of the result, at the time `end`. With
+    `plans`, `plan` contains the predicted positions (K, H, N, 2) and `history` the values of J over
+    the chosen search's iterations; H differs from step to step. `dish` contains a microscope's
+    images, for a trial with `plans`.
 
     Args:
         log: The trial.
@@ -74,7 +74,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     arena = setup.arena
     result = log.result
     decimals = 7 - math.ceil(math.log10(arena.longer_side))  # of lengths
-    until_ns = end_ns(log)
+    until_ns = find_end_ns(log)
     return {
         "file": file,
         "unit": format_unit(setup.unit),
@@ -104,7 +104,7 @@ def _robots(log: TrialLog) -> list[dict[str, Any]]:
     """
     setup = log.start.setup
     colors = robot_colors(setup.names, setup.colors)
-    starts = first_seen(log.positions, setup.starts.xy).tolist()
+    starts = find_first_positions(log.positions, setup.starts.xy).tolist()
     legs = setup.legs.swapaxes(0, 1).tolist()
     return [
         {
@@ -143,11 +143,11 @@ def _steps(log: TrialLog) -> dict[str, Any]:
     return {
         "t": round_to_lists(log.steps_s),
         "u": [plan.direction for plan in plans],
-        "doing": [doing(plan) for plan in plans],
+        "doing": [describe_activity(plan) for plan in plans],
         "cost": round_significant([np.nan if plan.pauses else plan.cost for plan in plans]),
         "signals": [None if plan.pauses else len(plan.signals) for plan in plans],
         "solve_ms": round_significant([step.solve_ns / MILLISECOND for step in steps]),
-        "ended": ["–" if plan.pauses else search_end(plan.search) for plan in plans],
+        "ended": ["–" if plan.pauses else describe_search_end(plan.search) for plan in plans],
     }
 
 

@@ -33,7 +33,7 @@ from tetractl.tools.table.terminal_table import format_html as html_of_tables
 from tetractl.verification.verify import Verification
 from tetractl.view import style
 from tetractl.view.figures.draw import draw
-from tetractl.view.figures.trajectory import arena_picture
+from tetractl.view.figures.trajectory import draw_arena_picture
 
 PICTURE_PX = 440
 """Width at which an image is shown [px]."""
@@ -158,12 +158,12 @@ def _compose_html(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes
         tables: The tables.
         png: The image, as the bytes of a PNG file. Empty for no image.
     """
-    picture = ""
+    image_html = ""
     if png:
         source = f"data:image/png;base64,{b64encode(png).decode()}"
-        picture = f'<br><img alt="{escape(lines[0])}" width="{PICTURE_PX}" src="{source}">'
-    text = "<br>".join(map(escape, lines))
-    return f"<div>{text}{picture}{html_of_tables(tables)}</div>"
+        image_html = f'<br><img alt="{escape(lines[0])}" width="{PICTURE_PX}" src="{source}">'
+    lines_html = "<br>".join(map(escape, lines))
+    return f"<div>{lines_html}{image_html}{html_of_tables(tables)}</div>"
 
 
 def _draw_paths(trial: TrialLog) -> bytes:
@@ -186,5 +186,5 @@ def _format_position(xy: Sequence[float]) -> str:
 def _draw_arena(setup: Setup) -> bytes:
     """Draw the arena with the robots at their starts, and return the bytes of a PNG file."""
     file = io.BytesIO()
-    Image.fromarray(arena_picture(setup, setup.starts.xy[None])).save(file, "PNG")
+    Image.fromarray(draw_arena_picture(setup, setup.starts.xy[None])).save(file, "PNG")
     return file.getvalue()

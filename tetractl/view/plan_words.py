@@ -4,7 +4,7 @@ from tetractl.core.commands import FieldOff
 from tetractl.core.plan import Plan, Search, State, StopReason
 
 
-def doing(plan: Plan) -> str:
+def describe_activity(plan: Plan) -> str:
     """Describe in words what the robots do under a plan, such as "driving" or "field off"."""
     if isinstance(plan.instead, FieldOff):
         return "field off"
@@ -15,6 +15,6 @@ def doing(plan: Plan) -> str:
     return plan.state.value
 
 
-def search_end(search: Search) -> str:
+def describe_search_end(search: Search) -> str:
     """Describe in words why an optimiser's search ended. "no search" for given signals."""
     return "no search" if search.stopped == StopReason.FIXED else str(search.stopped)

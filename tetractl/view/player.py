@@ -1,4 +1,4 @@
-"""A player of recorded trials, controlled by keys, and the state of a trial at an instant."""
+"""A player of recorded trials that keys control, and the state of a trial at one instant."""
 
 import math
 from bisect import bisect_right
@@ -18,22 +18,25 @@ from tetractl.log.read.trial_log import Event, TrialLog
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """All that a view shows of a trial of N robots at one instant.
+    """The state of a trial of N robots at one instant, as a view shows it.
 
-    M frames and K control steps have come before the instant. Lengths are in the trial's unit.
+    Up to this instant, the trial has had M camera frames and K control steps. Lengths are in the
+    trial's unit.
 
     Attributes:
         setup: The constants of the experiment.
         time_s: Time since the first direction sent [s].
         end_s: Duration of the trial [s]. None for a running trial.
-        poses: Newest measured poses, shape (N, 3). With `result`, the poses at which it was taken.
+        poses: Newest measured poses, shape (N, 3): x, y, heading [rad]. With `result`, the final
+            poses of the result.
         trail: Measured positions, shape (M, N, 2). NaN if a robot was untracked.
-        step: The newest control step.
-        totals: Total error at each step, shape (K,).
-        steps_end: Number of control steps of the trial. 0 for a running trial.
-        result: The result. None before the end.
-        events: The messages so far, oldest first.
-        known: "measured", or "true" for a result of a simulation.
+        step: The newest control step. None before the first step.
+        totals: Total error at each control step, shape (K,): the sum of the robots' distances to
+            their targets.
+        steps_total: Number of control steps of the whole trial. 0 for a running trial.
+        result: The result of the trial. None before the end.
+        events: The messages of the trial so far, oldest first.
+        pose_kind: Where `poses` come from: "measured", or "true" for the result of a simulation.
     """
 
     setup: Setup
@@ -43,10 +46,10 @@ class Moment:
     trail: Floats
     step: Step | None
     totals: Floats
-    steps_end: int
+    steps_total: int
     result: Result | None
     events: tuple[Event, ...] = ()
-    known: str = "measured"
+    pose_kind: str = "measured"
 
     @property
     def distances(self) -> Floats:
@@ -59,32 +62,35 @@ class Moment:
         return self.setup.distances(self.poses[:, :2])
 
 
-def first_seen(trail: Floats, starts: Floats) -> Floats:
-    """Return where each robot was first measured in a trail (M, N, 2), as an array (N, 2).
+def find_first_positions(trail: Floats, starts: Floats) -> Floats:
+    """Find the first measured position of each robot, shape (N, 2).
 
-    A robot that was never seen gets its start in the spec, from `starts` (N, 2). Cells start where
-    they are found.
+    The first position of a cell is the place where the tracker found the cell.
+
+    Args:
+        trail: Measured positions, shape (M, N, 2). NaN if a robot was untracked.
+        starts: Starts in the spec, shape (N, 2), for robots that were never measured.
     """
     positions = np.concatenate([trail, starts[None]])
-    first = np.isfinite(positions[..., 0]).argmax(axis=0)
-    return positions[first, np.arange(len(starts))]
+    first_rows = np.isfinite(positions[..., 0]).argmax(axis=0)
+    return positions[first_rows, np.arange(len(starts))]
 
 
-def end_ns(log: TrialLog) -> int:
-    """Return the time at which a recorded trial ends for its viewers [ns].
+def find_end_ns(log: TrialLog) -> int:
+    """Find the time at which a view of a recorded trial ends, on the log's clock [ns].
 
-    A simulated trial ends with its stop, after which its robots stand still in its last frames. In
-    a lab, it ends with the last frame that shows the poses of its result; cells that swim on leave
-    these poses before the last frame.
+    A simulated trial ends when its stop is sent: after the stop, the robots stand still. A trial in
+    a lab ends with the last frame that shows the final poses of the result. Later frames may show
+    other poses, because cells swim on after the stop.
     """
     last_step_ns = log.steps[-1].command.sent_ns if log.steps else 0
-    after = log.mocap_ns >= last_step_ns
-    if log.result and not log.start.plant.simulated and after.any():
-        held = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:]
-        positions = held[after, :, :2]
-        gaps = np.abs(positions - log.result.verdict.final.xy).max(axis=(1, 2))
-        nearest = np.flatnonzero(gaps == gaps.min())
-        return int(log.mocap_ns[after][nearest[-1]])
+    is_after_last_step = log.mocap_ns >= last_step_ns
+    if log.result and not log.start.plant.simulated and is_after_last_step.any():
+        held_poses = _hold_last_poses(log.mocap, log.valid, log.start.setup.starts.array())[1:]
+        positions = held_poses[is_after_last_step, :, :2]
+        gaps_to_final = np.abs(positions - log.result.verdict.final.xy).max(axis=(1, 2))
+        nearest_frames = np.flatnonzero(gaps_to_final == gaps_to_final.min())
+        return int(log.mocap_ns[is_after_last_step][nearest_frames[-1]])
     if log.stop:
         return max(last_step_ns, log.stop.sent_ns)
     if log.result:
@@ -94,16 +100,22 @@ def end_ns(log: TrialLog) -> int:
 
 
 class Recording:
-    """A recorded trial, of which `at` returns the state at any time.
+    """A recorded trial whose state at any time can be read with `moment_at`.
 
-    Times [ns] are on the trial's clock. A control step begins when its command is sent; `event_ns`
-    are the times of events. Users are shown times since the first direction: `log.elapsed_s`.
+    Attributes:
+        log: The log of the trial.
+        step_ns: When the command of each control step was sent, on the log's clock, shape (K,)
+            [ns].
+        end_ns: When the trial ends for its viewers, on the log's clock [ns].
+        events: The messages of the trial, oldest first. Their times count from the first direction.
+        event_ns: When each event happened, on the log's clock [ns].
+        totals: Total error at each control step, shape (K,) [length unit].
     """
 
     def __init__(self, log: TrialLog) -> None:
         self.log = log
         self.step_ns = np.array([step.command.sent_ns for step in log.steps], dtype=np.int64)
-        self.end_ns = end_ns(log)
+        self.end_ns = find_end_ns(log)
         self.events = log.events
         self._event_s = [event.time_s for event in self.events]
         self.event_ns = np.array(sorted(note.t_ns for note in log.notes), dtype=np.int64)
@@ -111,77 +123,82 @@ class Recording:
             [log.start.setup.distances(step.observation.poses.xy).sum() for step in log.steps]
         )
         self._trail = log.positions
-        self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
+        self._poses = _hold_last_poses(log.mocap, log.valid, log.start.setup.starts.array())
 
-    def at(self, time_ns: int) -> Moment:
+    def moment_at(self, time_ns: int) -> Moment:
         """Return the state of the trial at a time on the log's clock [ns].
 
-        From the end of the trial on, it has the result, the final poses and all events.
+        At the end of the trial and later, the state has the result, the final poses and all events.
         """
         log = self.log
-        frames = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
-        steps = int(np.searchsorted(self.step_ns, time_ns, side="right"))
+        n_frames = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
+        n_steps = int(np.searchsorted(self.step_ns, time_ns, side="right"))
         result = log.result if time_ns >= self.end_ns else None
-        until_s = log.elapsed_s(time_ns) if result is None else math.inf
+        events_until_s = log.elapsed_s(time_ns) if result is None else math.inf
         return Moment(
             setup=log.start.setup,
             time_s=log.elapsed_s(time_ns),
             end_s=log.elapsed_s(self.end_ns),
-            poses=self._poses[frames] if result is None else result.verdict.final.array(),
-            trail=self._trail[:frames],
-            step=log.steps[steps - 1] if steps else None,
-            totals=self.totals[:steps],
-            steps_end=len(log.steps),
+            poses=self._poses[n_frames] if result is None else result.verdict.final.array(),
+            trail=self._trail[:n_frames],
+            step=log.steps[n_steps - 1] if n_steps else None,
+            totals=self.totals[:n_steps],
+            steps_total=len(log.steps),
             result=result,
-            events=self.events[: bisect_right(self._event_s, until_s)],
-            known="true" if result and log.start.plant.simulated else "measured",
+            events=self.events[: bisect_right(self._event_s, events_until_s)],
+            pose_kind="true" if result and log.start.plant.simulated else "measured",
         )
 
 
-def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
-    """Return each robot's last tracked pose after every frame, shape (M + 1, N, 3).
+def _hold_last_poses(mocap: Floats, valid: NDArray[np.bool_], initial_poses: Floats) -> Floats:
+    """Compute each robot's last tracked pose after every frame, shape (M + 1, N, 3).
 
-    Row m holds the poses after m frames. A robot that was not tracked yet has its pose in `first`
-    (N, 3).
+    Row m contains the poses after m frames. A robot that was not tracked yet has its pose in
+    `initial_poses` (N, 3).
     """
-    poses = np.concatenate([first[None], mocap])
-    tracked_rows = np.vstack([np.ones(len(first), dtype=bool), valid])
-    rows = np.where(tracked_rows, np.arange(len(poses))[:, None], 0)
-    newest = np.maximum.accumulate(rows, axis=0)
-    return poses[newest, np.arange(len(first))]
+    poses = np.concatenate([initial_poses[None], mocap])
+    is_tracked = np.vstack([np.ones(len(initial_poses), dtype=bool), valid])
+    rows = np.where(is_tracked, np.arange(len(poses))[:, None], 0)
+    newest_rows = np.maximum.accumulate(rows, axis=0)
+    return poses[newest_rows, np.arange(len(initial_poses))]
 
 
-SEEK_NS = SECOND
+SEEK_STEP_NS = SECOND
 """Time by which the arrow keys seek back and forward [ns]."""
 RATE_MIN = 1 / 16
+"""Minimum playing speed that keys can set [s of the trial per s]."""
 RATE_MAX = 64.0
-"""Maximum rate that keys reach [s of the trial per s]. RATE_MIN is the minimum rate."""
+"""Maximum playing speed that keys can set [s of the trial per s]."""
 
 
 class Playback(StrEnum):
-    """The states that the player of a recording can be in."""
+    """A state of the player of a recording."""
 
     PLAYING = "playing"
     PAUSED = "paused"
-    ENDED = "end"  # paused at the end of the span
+    ENDED = "end"  # paused at the end of the played span
     QUIT = "quit"
 
 
 class Player:
-    """A player that shows a span of a recording, controlled by keys.
+    """A player that moves through a span of a recording, controlled by keys.
 
-    Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
-    resumes, and at the end plays again from the start. "left" and "right" seek 1 s back and
-    forward, "home" and "end" go to the ends of the span. "." and "," go to the next and the
-    previous control step, "e" and "E" to the next and the previous event, and pause. "+" and "-"
-    double and halve the rate, "q" quits.
+    Call `update` before you read `now_ns`, and call `press` with the name of each pressed key:
+
+    - "space" pauses and resumes. At the end, it plays again from the start.
+    - "left" and "right" seek 1 s back and forward.
+    - "home" and "end" go to the start and the end of the span.
+    - "." and "," go to the next and the previous control step, and pause.
+    - "e" and "E" go to the next and the previous event, and pause.
+    - "+" and "-" double and halve the playing speed.
+    - "q" quits.
 
     Args:
         recording: The recording.
         wall: The wall clock.
-        span_ns: Begin and end of the span [ns].
+        span_ns: Begin and end of the played span, on the log's clock [ns].
         rate: Playing speed, as a multiple of the wall clock.
-        loop: Whether to begin again at the end.
+        loop: Whether to play again from the start after the end.
         paused: Whether to start in a pause.
     """
 
@@ -201,40 +218,40 @@ class Player:
         self._quit = False
         self.rate = rate  # seconds of the trial per second
         self._wall = wall
-        self._paused = paused
-        # the trial's time and the wall clock's at the last change of rate, pause or place
+        self._is_paused = paused
+        # the trial's time, and the wall clock's, at the last change of rate, pause or position
         self._anchor_ns = self.start_ns
         self._anchor_wall_ns = wall.now()
 
     @property
-    def now(self) -> int:
-        """The time of the trial that the player shows [ns].
+    def now_ns(self) -> int:
+        """The time in the trial that the player shows now, on the log's clock [ns].
 
-        It is never later than the end of the span to play.
+        This time is never later than the end of the played span.
         """
-        passed_ns = 0
-        if not self._paused:
-            passed_ns = round(self.rate * (self._wall.now() - self._anchor_wall_ns))
-        return min(self._anchor_ns + passed_ns, self.until_ns)
+        elapsed_ns = 0
+        if not self._is_paused:
+            elapsed_ns = round(self.rate * (self._wall.now() - self._anchor_wall_ns))
+        return min(self._anchor_ns + elapsed_ns, self.until_ns)
 
     @property
     def state(self) -> Playback:
-        """The state of the player.
+        """The state of the player: playing, paused, ended, or quit.
 
-        At the end of the span, it is ENDED once the player is paused.
+        A player that is paused at the end of the played span has ended.
         """
         if self._quit:
             return Playback.QUIT
-        if not self._paused:
+        if not self._is_paused:
             return Playback.PLAYING
-        return Playback.ENDED if self.now == self.until_ns else Playback.PAUSED
+        return Playback.ENDED if self.now_ns == self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
-        """At the end of the span, pause or, with `loop`, begin again.
+        """Pause at the end of the played span or, with `loop`, play again from the start.
 
-        Before the end, do nothing.
+        Before the end, nothing happens.
         """
-        if self.now == self.until_ns and not self._paused:
+        if self.now_ns == self.until_ns and not self._is_paused:
             if self._loop:
                 self._seek(self.start_ns)
             else:
@@ -249,23 +266,23 @@ class Player:
             case "space":
                 if self.state is Playback.ENDED:
                     self._seek(self.start_ns)
-                self._pause(not self._paused)
+                self._pause(not self._is_paused)
             case "left":
-                self._seek(self.now - SEEK_NS)
+                self._seek(self.now_ns - SEEK_STEP_NS)
             case "right":
-                self._seek(self.now + SEEK_NS)
+                self._seek(self.now_ns + SEEK_STEP_NS)
             case "home":
                 self._seek(self.start_ns)
             case "end":
                 self._pause_at(self.until_ns)
             case ".":
-                self._pause_at(self._after(self.recording.step_ns, self.until_ns))
+                self._pause_at(self._find_next(self.recording.step_ns, self.until_ns))
             case ",":
-                self._pause_at(self._before(self.recording.step_ns, self.start_ns))
+                self._pause_at(self._find_previous(self.recording.step_ns, self.start_ns))
             case "e":
-                self._pause_at(self._after(self.recording.event_ns, self.now))
+                self._pause_at(self._find_next(self.recording.event_ns, self.now_ns))
             case "E":
-                self._pause_at(self._before(self.recording.event_ns, self.now))
+                self._pause_at(self._find_previous(self.recording.event_ns, self.now_ns))
             case "+":
                 self._set_rate(min(2 * self.rate, max(RATE_MAX, self.rate)))
             case "-":
@@ -274,11 +291,11 @@ class Player:
                 self._quit = True
 
     def _pause(self, paused: bool = True) -> None:
-        self._anchor_at(self.now)
-        self._paused = paused
+        self._anchor_at(self.now_ns)
+        self._is_paused = paused
 
     def _set_rate(self, rate: float) -> None:
-        self._anchor_at(self.now)
+        self._anchor_at(self.now_ns)
         self.rate = rate
 
     def _seek(self, time_ns: int) -> None:
@@ -292,29 +309,32 @@ class Player:
         self._anchor_ns = time_ns
         self._anchor_wall_ns = self._wall.now()
 
-    def _after(self, times: Integers, otherwise: int) -> int:
-        """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`.
+    def _find_next(self, times: Integers, otherwise: int) -> int:
+        """Find the first of the increasing `times` [ns] after the player's present time.
 
-        A time that equals now does not count.
+        A time that equals the present time does not count. If there is no later time, the result is
+        `otherwise`.
         """
-        index = int(np.searchsorted(times, self.now, side="right"))
+        index = int(np.searchsorted(times, self.now_ns, side="right"))
         return int(times[index]) if index < len(times) else otherwise
 
-    def _before(self, times: Integers, otherwise: int) -> int:
-        """Return the last of the increasing `times` [ns] that lies before now, or `otherwise`.
+    def _find_previous(self, times: Integers, otherwise: int) -> int:
+        """Find the last of the increasing `times` [ns] before the player's present time.
 
-        A time that equals now does not count.
+        A time that equals the present time does not count. If there is no earlier time, the result
+        is `otherwise`.
         """
-        index = int(np.searchsorted(times, self.now, side="left"))
+        index = int(np.searchsorted(times, self.now_ns, side="left"))
         return int(times[index - 1]) if index else otherwise
 
 
 def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[int, int]:
-    """Return the times [ns] of the first and last instant to play.
+    """Compute the first and the last instant to play, on the log's clock [ns].
 
     Args:
         recording: The recording.
-        start_s: When to start, counted from the first direction [s]. The log may begin before it.
+        start_s: When to start, counted from the first direction [s]. It is negative if the log
+            begins before the first direction.
         until_s: When to end [s]. None for the end of the recording.
 
     Raises:
@@ -323,8 +343,8 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
     first_s = recording.log.elapsed_s(0)
     end_s = recording.log.elapsed_s(recording.end_ns)
     if not start_s >= first_s:
-        begins = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
-        raise UsageError(f"--start {start_s:g} lies before the log, which begins {begins}")
+        begin_text = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
+        raise UsageError(f"--start {start_s:g} lies before the log, which begins {begin_text}")
     if start_s > end_s:
         raise UsageError(
             f"--start {start_s:g} lies after the end of the trial, which lasts {end_s:g} s"

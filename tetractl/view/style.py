@@ -163,8 +163,8 @@ def batch_look(number: int) -> dict[str, Any]:
 
     All colours are used with the first line style, then with the next. In the end, looks repeat.
     """
-    turn, shade = divmod(number, len(SLATES))
-    return {"color": SLATES[shade], "ls": _DASHES[turn % len(_DASHES)]}
+    cycle, shade = divmod(number, len(SLATES))
+    return {"color": SLATES[shade], "ls": _DASHES[cycle % len(_DASHES)]}
 
 
 def panel(axes: Axes, letter: str, title: str, x: str = "", y: str = "") -> None:
@@ -211,10 +211,10 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
         UsageError: If the ending is another one, if the file's folder does not exist, or if the
             path is a folder.
     """
-    wanted = path.suffix.lower().removeprefix(".")
-    if wanted not in formats:
+    format_name = path.suffix.lower().removeprefix(".")
+    if format_name not in formats:
         problem = f"cannot write '{path.suffix}' {what}s"
-        if not wanted:
+        if not format_name:
             problem = f"the ending of the file name must state the format of the {what}"
         endings = ", ".join(f".{name}" for name in formats)
         raise UsageError(f"{path}: {problem}", f"use one of the endings {endings}")
@@ -224,7 +224,7 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
         raise UsageError(
             f"{path}: this is a folder, but a file is needed", "name a file in this folder"
         )
-    return wanted
+    return format_name
 
 
 def save(drawing: Figure, path: Path, dpi: float = PRINT_DPI) -> None:

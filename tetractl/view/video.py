@@ -33,8 +33,13 @@ from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.tools.children import Child
 from tetractl.view import style
-from tetractl.view.figures.trajectory import DishGround, draw_scene
-from tetractl.view.figures.trials import NUMBERED, need_steps, robot_labels, unfinished
+from tetractl.view.figures.trajectory import DishBackground, draw_scene
+from tetractl.view.figures.trials import (
+    NUMBERED_MIN,
+    describe_incompleteness,
+    require_steps,
+    robot_labels,
+)
 from tetractl.view.player import Moment, Recording
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
@@ -47,7 +52,7 @@ SCENE_WIDTH_IN = 5.0
 """Maximum width of the arena in the video [in]."""
 SCENE_HEIGHT_IN = 4.4
 """Maximum height of the arena in the video [in]."""
-SIDE_IN = 2.2
+SIDE_WIDTH_IN = 2.2
 """Width of the curve and the words, to the right of the arena [in]."""
 SIDE_HEIGHT_IN = 3.0
 """Minimum height of the curve and the words together [in]."""
@@ -65,15 +70,15 @@ BODY_FRACTION_MIN = 0.014
 """Minimum half length of a drawn robot as a fraction of the arena, so that it is visible."""
 TRAIL_POINTS = 600
 """Approximate number of points of a trail that are drawn."""
-ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
+ARROW_POINTS = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
 """The line of an arrow along +x: its points x + iy."""
-WEDGE = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j])
+ROBOT_CORNERS = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j])
 """The corners of a robot that heads along +x, the front corner first, for half a length of 1."""
 
 Picture = NDArray[np.uint8]
 
 
-def check_file(path: Path) -> str:
+def check_video_file(path: Path) -> str:
     """Determine the format of a video to write from the ending of the file's name.
 
     Raises:
@@ -113,25 +118,25 @@ def write_video(
     Raises:
         LogError: If the file cannot be written.
     """
-    ending = check_file(path)
+    ending = check_video_file(path)
     rate = rate or FORMATS[ending]
     frames = VideoFrames(log, width)
     recording = frames.recording
     end_s = max(recording.log.elapsed_s(recording.end_ns), 0.0)
     speed = _choose_speed(end_s)
-    times = np.append(np.arange(0, end_s, speed / rate), end_s).tolist()
+    times_s = np.append(np.arange(0, end_s, speed / rate), end_s).tolist()
     hold_images = round(LAST_IMAGE_S * rate)
 
     def pictures() -> Iterator[Picture]:
-        for drawn, time_s in enumerate(times, 1):
-            yield frames.at(time_s)
-            progress(drawn, len(times))
+        for drawn, time_s in enumerate(times_s, 1):
+            yield frames.draw_at(time_s)
+            progress(drawn, len(times_s))
 
     try:
         if ending == "mp4":
             _write_mp4(path, pictures(), rate, hold_images)
         else:
-            _write_animation(path, pictures(), len(times), rate, hold_images)
+            _write_animation(path, pictures(), len(times_s), rate, hold_images)
     except OSError as error:
         path.unlink(missing_ok=True)
         raise LogError(f"{path}: the video cannot be written: {error}") from error
@@ -163,12 +168,12 @@ def video(log: TrialLog, path: Path | None) -> Video:
             NOTEBOOK_WIDTH_PX wide.
 
     Raises:
-        UsageError: If `check_file` refuses the path.
+        UsageError: If `check_video_file` refuses the path.
         LogError: If the file cannot be written.
     """
     if path is not None:
         write_video(log, path)
-        return Video(check_file(path), path.read_bytes())
+        return Video(check_video_file(path), path.read_bytes())
     with TemporaryDirectory() as folder:
         file = Path(folder, "trial.webp")
         write_video(log, file, width=NOTEBOOK_WIDTH_PX, rate=NOTEBOOK_RATE_HZ)
@@ -197,18 +202,20 @@ def _write_animation(
         rate: Images per second.
         hold_images: For how many more intervals the last image is shown.
     """
-    milliseconds = round(1000 / rate)
-    durations = [milliseconds] * (image_count - 1) + [milliseconds * (1 + hold_images)]
+    interval_ms = round(1000 / rate)
+    durations_ms = [interval_ms] * (image_count - 1) + [interval_ms * (1 + hold_images)]
     images = map(Image.fromarray, pictures)
-    first = next(images)
+    first_image = next(images)
     options: dict[str, Any] = {"quality": 80, "method": 1, "kmin": 25, "kmax": 50}
     if path.suffix.lower() == ".gif":
-        palette = first.quantize(256, dither=Image.Dither.NONE)
+        palette = first_image.quantize(256, dither=Image.Dither.NONE)
         to_palette = partial(Image.Image.quantize, palette=palette, dither=Image.Dither.NONE)
-        first = to_palette(first)
+        first_image = to_palette(first_image)
         images = map(to_palette, images)
         options = {"optimize": False, "disposal": 1}
-    first.save(path, save_all=True, append_images=images, duration=durations, loop=0, **options)
+    first_image.save(
+        path, save_all=True, append_images=images, duration=durations_ms, loop=0, **options
+    )
 
 
 def _write_mp4(path: Path, pictures: Iterator[Picture], rate: int, hold_images: int) -> None:
@@ -248,33 +255,40 @@ def _create_figure(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Ax
     The three axes are for the scene on the left, for the curve of the error at the upper right, and
     for the numbers below it. Width and height are even numbers [px], as MP4 requires.
     """
-    scale = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
-    scene_width = scale * arena.width
-    scene_height = scale * arena.height
-    width = scene_width + SIDE_IN + 1.36
-    dpi = 2 * round(width_px / 2) / width
-    height_min = max(scene_height, SIDE_HEIGHT_IN) + 0.75
-    height = 2 * round(height_min * dpi / 2) / dpi
-    figure = Figure((width, height), dpi)
+    in_per_unit = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
+    scene_width_in = in_per_unit * arena.width
+    scene_height_in = in_per_unit * arena.height
+    width_in = scene_width_in + SIDE_WIDTH_IN + 1.36
+    dpi = 2 * round(width_px / 2) / width_in
+    height_min_in = max(scene_height_in, SIDE_HEIGHT_IN) + 0.75
+    height_in = 2 * round(height_min_in * dpi / 2) / dpi
+    figure = Figure((width_in, height_in), dpi)
 
-    def axes_at(left: float, bottom: float, axes_width: float, axes_height: float) -> Axes:
+    def add_axes(
+        left_in: float, bottom_in: float, axes_width_in: float, axes_height_in: float
+    ) -> Axes:
         """Add axes in a rectangle of the image.
 
         Args:
-            left: Its left edge [in].
-            bottom: Its lower edge [in].
-            axes_width: Its width [in].
-            axes_height: Its height [in].
+            left_in: Left edge of the rectangle [in].
+            bottom_in: Lower edge of the rectangle [in].
+            axes_width_in: Width of the rectangle [in].
+            axes_height_in: Height of the rectangle [in].
         """
-        rectangle = (left / width, bottom / height, axes_width / width, axes_height / height)
+        rectangle = (
+            left_in / width_in,
+            bottom_in / height_in,
+            axes_width_in / width_in,
+            axes_height_in / height_in,
+        )
         return figure.add_axes(rectangle)
 
-    top = height - TOP_IN
-    curve_bottom = 0.56 * height
-    side_left = scene_width + 2 * LABELS_IN
-    scene = axes_at(LABELS_IN, top - scene_height, scene_width, scene_height)
-    curve = axes_at(side_left, curve_bottom, SIDE_IN, top - curve_bottom)
-    numbers = axes_at(side_left, 0.1, SIDE_IN, curve_bottom - 0.7)
+    top_in = height_in - TOP_IN
+    curve_bottom_in = 0.56 * height_in
+    side_left_in = scene_width_in + 2 * LABELS_IN
+    scene = add_axes(LABELS_IN, top_in - scene_height_in, scene_width_in, scene_height_in)
+    curve = add_axes(side_left_in, curve_bottom_in, SIDE_WIDTH_IN, top_in - curve_bottom_in)
+    numbers = add_axes(side_left_in, 0.1, SIDE_WIDTH_IN, curve_bottom_in - 0.7)
     return figure, scene, curve, numbers
 
 
@@ -284,8 +298,8 @@ class _Scene:
     def __init__(self, axes: Axes, log: TrialLog, colors: list[str]) -> None:
         setup = log.start.setup
         draw_scene(axes, [setup], colors, [log.positions])
-        visible = BODY_FRACTION_MIN * setup.arena.longer_side
-        self._half_length = max(setup.wheel_radius or 0.0, visible)
+        half_length_min = BODY_FRACTION_MIN * setup.arena.longer_side
+        self._half_length = max(setup.wheel_radius or 0.0, half_length_min)
         self._plans: list[Line2D] = []
         self._trails: list[Line2D] = []
         self._bodies: list[Polygon] = []
@@ -307,7 +321,7 @@ class _Scene:
         for robot, (x, y, heading) in enumerate(moment.poses):
             self._plans[robot].set_data(*(step.plan.path[:, robot, :2].T if step else ([], [])))
             self._trails[robot].set_data(*np.vstack([trail[:, robot], [x, y]]).T)
-            corners = self._half_length * WEDGE * np.exp(1j * heading)
+            corners = self._half_length * ROBOT_CORNERS * np.exp(1j * heading)
             self._bodies[robot].set_xy(np.column_stack([x + corners.real, y + corners.imag]))
 
 
@@ -338,7 +352,7 @@ class _Numbers:
     """
 
     def __init__(self, axes: Axes, names: tuple[str, ...], colors: list[str]) -> None:
-        self._names = robot_labels(names) if len(names) < NUMBERED else []
+        self._names = robot_labels(names) if len(names) < NUMBERED_MIN else []
         axes.set_axis_off()
         line_colors = [style.INK, style.INK, style.INK, *colors[: len(self._names)]]
         rows = max(len(line_colors), 7)
@@ -363,10 +377,10 @@ class _Numbers:
         """
         step = _followed_step(moment)
         direction = None if step is None else step.plan.direction
-        arrow = np.zeros(0) if direction is None else ARROW * np.exp(1j * direction)
+        arrow = np.zeros(0) if direction is None else ARROW_POINTS * np.exp(1j * direction)
         self.arrow.set_data(arrow.real, arrow.imag)
-        for line, words in zip(self.lines, self._lines_at(moment), strict=True):
-            line.set_text(words)
+        for line, line_text in zip(self.lines, self._lines_at(moment), strict=True):
+            line.set_text(line_text)
 
     def _lines_at(self, moment: Moment) -> list[str]:
         """Return the text of each line at an instant of the trial.
@@ -382,7 +396,7 @@ class _Numbers:
             time_text += f", step {step.k}"
         if step is not None and not step.plan.pauses:
             plan = f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
-        total = f"total error {_total_error(moment):.1f} {unit}, {moment.known}"
+        total = f"total error {_total_error(moment):.1f} {unit}, {moment.pose_kind}"
         robots = [
             f"{name} {distance:.1f} {unit}"
             for name, distance in zip(self._names, moment.distances, strict=False)
@@ -417,14 +431,14 @@ class VideoFrames:
 
     @style.styled()
     def __init__(self, log: TrialLog, width: int) -> None:
-        need_steps(log)
+        require_steps(log)
         self.recording = Recording(log)
         setup = log.start.setup
         colors = robot_colors(setup.names, setup.colors)
         figure, scene_axes, curve_axes, words_axes = _create_figure(setup.arena, width)
         self._canvas = FigureCanvasAgg(figure)
         figure.text(0.01, 0.985, _heading_text(log), va="top", color=style.GREY, fontsize=7.5)
-        self._ground = DishGround(scene_axes, log)
+        self._background_image = DishBackground(scene_axes, log)
         scene = _Scene(scene_axes, log, colors)
         curve = _ErrorCurve(curve_axes, self.recording)
         numbers = _Numbers(words_axes, setup.names, colors)
@@ -439,7 +453,7 @@ class VideoFrames:
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
 
-    def at(self, elapsed_s: float) -> Picture:
+    def draw_at(self, elapsed_s: float) -> Picture:
         """Draw the image of an instant.
 
         Args:
@@ -449,10 +463,10 @@ class VideoFrames:
             The image, shape (height, width, 3), with the colours red, green and blue.
         """
         time_ns = self.recording.log.began_ns + round(elapsed_s * SECOND)
-        moment = self.recording.at(time_ns)
+        moment = self.recording.moment_at(time_ns)
         for moving_part in self._parts:
             moving_part.show(moment)
-        if self._ground.show(time_ns):
+        if self._background_image.show(time_ns):
             self._draw_background()
         self._canvas.restore_region(self._background)
         renderer = self._canvas.get_renderer()
@@ -467,7 +481,7 @@ def _heading_text(log: TrialLog) -> str:
     The heading is cut to HEADING_LENGTH_MAX characters.
     """
     heading = f"{log.start.setup.name}, trial {log.start.trial}: {log.origin.value}"
-    lacks = unfinished(log)
-    if lacks:
-        heading += f" ({lacks})"
+    incompleteness = describe_incompleteness(log)
+    if incompleteness:
+        heading += f" ({incompleteness})"
     return heading[:HEADING_LENGTH_MAX]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from tetractl_identify.csv_tracks import csv_tracks
+from tetractl_identify.csv_tracks import read_csv_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -20,7 +20,7 @@ def tracks_of(folder, poses, commands):
     paths = [folder / "p.csv", folder / "c.csv"]
     paths[0].write_text(poses)
     paths[1].write_text(commands)
-    return csv_tracks(paths)
+    return read_csv_tracks(paths)
 
 
 def of_a_log(table):
@@ -33,20 +33,20 @@ def of_a_log(table):
 def test_csv_files_are_read_in_any_order(tmp_path, names):
     (tmp_path / "p.csv").write_text(POSES)
     (tmp_path / "c.csv").write_text(COMMANDS)
-    (track,) = csv_tracks([tmp_path / name for name in names])
+    (track,) = read_csv_tracks([tmp_path / name for name in names])
     assert track.unit == "mm"
     assert track.names == ("one",)
     assert track.origin == "CSV"
     assert track.valid.ravel().tolist() == [True, False]
     assert track.poses[0, 0].tolist() == [1, 2, 0.1]
-    assert track.u.tolist() == [0.5, 0.7]
-    assert track.until == pytest.approx(0.4)  # the last command acts for a period
+    assert track.direction_rad.tolist() == [0.5, 0.7]
+    assert track.stop_s == pytest.approx(0.4)  # the last command acts for a period
 
 
 def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
     with_lag = "time_s,direction_rad,lag_ms\n0,0.5,40\n0.2,0.7,40\n"
     (track,) = tracks_of(tmp_path, POSES, with_lag)
-    assert track.lag == pytest.approx(0.04)
+    assert track.lag_s == pytest.approx(0.04)
     assert track.on_wheels
     assert track.rates_unstated
     (track,) = tracks_of(tmp_path, *(of_a_log(table) for table in (POSES, with_lag)))
@@ -201,13 +201,13 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS.keys())
 def test_a_table_is_read_however_it_is_written(tmp_path, form):
-    (track,) = csv_tracks(write_drive(tmp_path, form))
+    (track,) = read_csv_tracks(write_drive(tmp_path, form))
     tables = drive()
     assert track.unit == "mm"
-    assert track.time == pytest.approx(tables.poses[:, 0], abs=1e-6)
+    assert track.time_s == pytest.approx(tables.poses[:, 0], abs=1e-6)
     assert track.poses[:, 0] == pytest.approx(tables.poses[:, 1:], abs=1e-9)
-    assert track.sent == pytest.approx(tables.commands[:, 0], abs=1e-6)
-    assert track.u == pytest.approx(tables.commands[:, 1], abs=1e-9)
+    assert track.sent_s == pytest.approx(tables.commands[:, 0], abs=1e-6)
+    assert track.direction_rad == pytest.approx(tables.commands[:, 1], abs=1e-9)
     assert not track.remarks
 
 
@@ -217,14 +217,14 @@ def test_a_column_without_a_name_is_left_out(tmp_path, separator, corner):
     """Regression: with tabs, as pandas writes its index, and ImageJ the numbers of rows, "has 6
     entries, but the header has 5"."""
     paths = write_drive(tmp_path, separated_by(separator))
-    plain = csv_tracks(paths)
+    plain = read_csv_tracks(paths)
     for path in paths:
         header, *rows = path.read_text().splitlines()
         numbered = [f"{k}{separator}{row}" for k, row in enumerate(rows)]
         path.write_text("\n".join([f"{corner}{separator}{header}", *numbered]))
-    (track,) = csv_tracks(paths)
+    (track,) = read_csv_tracks(paths)
     assert np.array_equal(track.poses, plain[0].poses)
-    assert np.array_equal(track.u, plain[0].u)
+    assert np.array_equal(track.direction_rad, plain[0].direction_rad)
 
 
 def write_headings(folder, heading_of):
@@ -244,11 +244,11 @@ def test_a_robot_at_two_places_at_once_is_refused(tmp_path, aside_mm):
         time_s, x_mm, y_mm, heading_rad = drive().poses[-1]
         file.write(f"{time_s},green,{x_mm + aside_mm},{y_mm},{heading_rad}\n")
     if aside_mm == 0.0:
-        (track,) = csv_tracks([poses, commands])
+        (track,) = read_csv_tracks([poses, commands])
         assert track.valid.all()
     else:
         with pytest.raises(UsageError, match=r"poses\.csv: green has two different places at .* s"):
-            csv_tracks([poses, commands])
+            read_csv_tracks([poses, commands])
 
 
 def test_two_places_at_one_unix_time_are_refused_with_that_time(tmp_path):
@@ -259,7 +259,7 @@ def test_two_places_at_one_unix_time_are_refused_with_that_time(tmp_path):
     rows = [f"{1_764_000_003 + k // 30},{place}" for k, place in enumerate(places)]
     poses.write_text("\n".join([lines[0], *rows, ""]))
     with pytest.raises(UsageError, match="green has two different places at 1764000003 s"):
-        csv_tracks([poses, commands])
+        read_csv_tracks([poses, commands])
 
 
 NOT_SENT = ["nan,nan", ",", "90,", "NULL,0.5"]
@@ -279,7 +279,7 @@ NOT_SENT = ["nan,nan", ",", "90,", "NULL,0.5"]
 def test_at_a_row_without_speeds_or_a_direction_nothing_was_sent(tmp_path, commands):
     """Regression: `identify` refused the steps.csv of `export`, whose last row has no direction."""
     (track,) = tracks_of(tmp_path, POSES, commands)
-    assert track.sent.tolist() == pytest.approx([0.0, 0.2])
+    assert track.sent_s.tolist() == pytest.approx([0.0, 0.2])
 
 
 # ---- Units, names, one robot, two recordings ----
@@ -531,8 +531,8 @@ ONE_OF_THEM = "time_s,robot,direction_rad\n" + "".join(f"{t / 10},a,{t / 9}\n" f
 def test_directions_may_name_each_robot(tmp_path, commands):
     """Regression: in the order of robots, "two robots? name them in a column robot"."""
     (track,) = tracks_of(tmp_path, TWO_POSES, commands)
-    assert track.sent.tolist() == pytest.approx([t / 10 for t in range(8)])
-    assert track.u.tolist() == pytest.approx([t / 9 for t in range(8)])
+    assert track.sent_s.tolist() == pytest.approx([t / 10 for t in range(8)])
+    assert track.direction_rad.tolist() == pytest.approx([t / 9 for t in range(8)])
 
 
 @pytest.mark.parametrize("far_mm", [9e8, -9e8])
@@ -544,7 +544,7 @@ def test_a_last_place_far_off_says_nothing_of_the_headings(tmp_path, column, far
     pose = last.split(",")
     pose[PLAIN_POSES.split(",").index(column)] = str(far_mm)
     poses.write_text("\n".join([*rows, ",".join(pose), ""]))
-    (track,) = csv_tracks([poses, commands])
+    (track,) = read_csv_tracks([poses, commands])
     assert track.valid[:-1].all()
     assert not track.valid[-1]  # it is no measurement
 
@@ -563,7 +563,7 @@ def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
     poses, commands = write_drive(tmp_path)
     commands.write_bytes(packed)
     with pytest.raises(UsageError, match=rf"commands\.csv: the file is compressed \({form}\)"):
-        csv_tracks([poses, commands])
+        read_csv_tracks([poses, commands])
 
 
 @pytest.mark.parametrize(
@@ -583,7 +583,7 @@ def test_times_that_fall_are_refused(tmp_path, table, commands):
     header, first, second, *others = (tmp_path / table).read_text().splitlines()
     (tmp_path / table).write_text("\n".join([header, second, first, *others, ""]))
     with pytest.raises(UsageError, match=f"{table}, line 3: the time is earlier"):
-        csv_tracks(paths)
+        read_csv_tracks(paths)
 
 
 @pytest.mark.parametrize(
@@ -601,7 +601,7 @@ def test_poses_that_are_no_measurement_show_no_turns(tmp_path, is_wrong, factor,
     poses = drive().poses
     poses[is_wrong] = poses[is_wrong] * factor + added
     write_table(paths[0], PLAIN, PLAIN_POSES, poses, robot="green")
-    (track,) = csv_tracks(paths)
+    (track,) = read_csv_tracks(paths)
     assert not track.valid[is_wrong].any()
     assert track.valid[~is_wrong].mean() > 0.9
 
@@ -616,14 +616,14 @@ def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
 
 def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path):
     paths = write_headings(tmp_path, lambda _, heading: heading + 2 * math.pi)
-    (track,) = csv_tracks(paths)
+    (track,) = read_csv_tracks(paths)
     assert track.valid.all()
 
 
 def test_a_file_that_is_named_twice_is_refused(tmp_path):
     poses, _ = write_drive(tmp_path)
     with pytest.raises(UsageError, match=r"poses\.csv: this file is given twice"):
-        csv_tracks([poses, tmp_path / "." / poses.name])
+        read_csv_tracks([poses, tmp_path / "." / poses.name])
 
 
 def exchange_two_rows(path):
@@ -643,13 +643,13 @@ def test_times_of_commands_that_fall_are_refused(tmp_path, table):
     commands.write_text(table)
     exchange_two_rows(commands)
     with pytest.raises(UsageError, match=r"commands.csv, line 3: the time is earlier"):
-        csv_tracks([poses, commands])
+        read_csv_tracks([poses, commands])
 
 
 def test_robots_on_two_wheels_may_move_against_their_headings(tmp_path):
     poses, commands = write_headings(tmp_path, lambda _, heading: heading + math.pi)
     commands.write_text("time_s,v_mm_s,w_rad_s\n0,-180,1\n2,-180,2\n")
-    (track,) = csv_tracks([poses, commands])
+    (track,) = read_csv_tracks([poses, commands])
     assert track.valid.all()
 
 
@@ -658,8 +658,8 @@ def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path)
     poses, commands = write_drive(tmp_path)
     with commands.open("a") as file:
         file.write("11.5,\n")
-    (track,) = csv_tracks([poses, commands])
-    assert track.sent.tolist() == drive().commands[:, 0].tolist()
+    (track,) = read_csv_tracks([poses, commands])
+    assert track.sent_s.tolist() == drive().commands[:, 0].tolist()
 
 
 def test_two_recordings_that_are_numbered_are_read(tmp_path):
@@ -669,7 +669,7 @@ def test_two_recordings_that_are_numbered_are_read(tmp_path):
         return "\n".join(["trial," + header, *lines, ""])
 
     tracks = tracks_of(tmp_path, numbered(ONE_POSES), numbered(NO_NAME))
-    assert [len(track.time) for track in tracks] == [8, 8]
+    assert [len(track.time_s) for track in tracks] == [8, 8]
 
 
 def test_rows_sorted_by_robot_are_one_recording(tmp_path):
@@ -715,4 +715,4 @@ def test_a_time_that_falls_to_about_the_first_one_begins_again(tmp_path, begin_s
     path = tmp_path / "poses.csv"
     path.write_text(f"time_s,x_mm,y_mm,heading_rad\n{rows}\n")
     with pytest.raises(UsageError, match=f"line 13: {says}"):
-        csv_tracks([path])
+        read_csv_tracks([path])

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_identify.driven_steps import (
-    FIRST_LAG_S,
+    ASSUMED_LAG_S,
     STEP_S,
     DrivenTrack,
     choose_steps,
-    driven_track,
+    select_driven_track,
 )
 from tetractl_identify.identify import INTERVALS_MIN
 from tetractl_identify.pose_steps import PoseSteps
@@ -25,7 +25,7 @@ COMMANDS = np.array([[100.0, 0.5], [0.0, 0.0], [200.0, -1.0], [150.0, 2.0], [50.
 
 
 def track(pose_s=POSE_S, sent_s=SENT_S, commands=COMMANDS):
-    steps = PoseSteps.between(pose_s, np.zeros((len(pose_s), 3)))
+    steps = PoseSteps.from_poses(pose_s, np.zeros((len(pose_s), 3)))
     return DrivenTrack(pose_s, steps, sent_s, commands, two_clocks=False)
 
 
@@ -119,23 +119,23 @@ def driven(seed=1, delay_s=TRUE_DELAY_S, clock_s=0.0, two_clocks=False, change=N
         "origin": "CSV",
         "unit": "mm",
         "names": ("one",),
-        "time": times[::10],
+        "time_s": times[::10],
         "poses": poses,
         "valid": np.ones((len(poses), 1), dtype=bool),
-        "sent": sent_s + clock_s,
-        "u": np.full(len(sent_s), np.nan),
-        "until": SECONDS,
+        "sent_s": sent_s + clock_s,
+        "direction_rad": np.full(len(sent_s), np.nan),
+        "stop_s": SECONDS,
         "twists": commands[:, None],
-        "two_clocks": two_clocks,
+        "has_two_clocks": two_clocks,
     }
-    return driven_track(Track(**(made | fields)), 0)
+    return select_driven_track(Track(**(made | fields)), 0)
 
 
 def test_a_robots_track_has_steps_of_a_tenth_of_a_second_and_its_commands():
     one = driven()
     assert np.diff(one.pose_s).min() >= STEP_S - 1e-6
     assert np.diff(one.pose_s).max() == pytest.approx(0.1)
-    assert len(one.steps.turned) == len(one.pose_s) - 1
+    assert len(one.steps.turn_rad) == len(one.pose_s) - 1
     assert one.commands.shape == (len(one.sent_s), 2)
 
 
@@ -153,14 +153,14 @@ def test_commands_that_a_robot_did_not_receive_and_poses_that_it_lacks_are_left_
 @pytest.mark.parametrize("delay_s", [0.1, 0.4, 0.9])
 def test_the_search_begins_at_the_delay_after_which_commands_explain_the_motion(delay_s):
     steps = choose_steps("one", [driven(delay_s=delay_s)], 0.1)
-    assert steps.dead_time == pytest.approx(delay_s - FIRST_LAG_S, abs=0.051)
+    assert steps.dead_time == pytest.approx(delay_s - ASSUMED_LAG_S, abs=0.051)
 
 
 @pytest.mark.parametrize("clock_s", [-4.0, 3.0])
 def test_a_clock_that_is_seconds_off_is_found(clock_s):
     one = driven(clock_s=clock_s, two_clocks=True)
     steps = choose_steps("one", [one], 0.1)
-    assert steps.dead_time == pytest.approx(TRUE_DELAY_S - clock_s - FIRST_LAG_S, abs=0.051)
+    assert steps.dead_time == pytest.approx(TRUE_DELAY_S - clock_s - ASSUMED_LAG_S, abs=0.051)
     assert steps.drift_unit == pytest.approx(2 * 0.05 / one.duration_s)
     assert choose_steps("one", [driven()], 0.1).drift_unit == 0
 
@@ -172,8 +172,8 @@ def test_all_steps_while_commands_act_are_used():
     assert steps.left_out == 0
     assert steps.rows.tolist() == np.flatnonzero(acts).tolist()
     assert steps.neighbours.all()
-    assert steps.turned == pytest.approx(one.steps.turned[steps.rows])
-    assert steps.distance_along == pytest.approx(one.steps.moved.real[steps.rows])
+    assert steps.turned == pytest.approx(one.steps.turn_rad[steps.rows])
+    assert steps.distance_along == pytest.approx(one.steps.displacement.real[steps.rows])
     assert steps.begin_s == pytest.approx(one.pose_s[:-1][steps.rows])
     assert len(set(steps.block)) == 8
     assert steps.speed == pytest.approx(np.median(np.abs(steps.distance_along) / steps.duration_s))
@@ -213,7 +213,7 @@ def test_a_gap_leaves_out_its_step_and_no_other():
 def test_the_last_step_of_a_track_and_the_first_of_the_next_are_no_neighbours():
     parts = [driven(1), driven(2)]
     steps = choose_steps("one", parts, 0.1)
-    first = len(parts[0].steps.turned)
+    first = len(parts[0].steps.turn_rad)
     assert (~steps.neighbours).sum() == 1
     border = np.flatnonzero(~steps.neighbours)[0]
     assert steps.rows[border] < first <= steps.rows[border + 1]
@@ -255,5 +255,5 @@ def test_integrals_of_both_motions_have_their_own_lags():
     assert both[:, 0] == pytest.approx(steps.tracks[0].integrals(0.2, 0.05)[steps.rows, 0])
     assert both[:, 1] == pytest.approx(steps.tracks[0].integrals(0.2, 0.3)[steps.rows, 1])
     sent = steps.driven(both)
-    assert sent.way_sent is not None
+    assert sent.distance_sent is not None
     assert (sent.turn_sent == both[:, 1]).all()

@@ -16,8 +16,8 @@ from tetractl_identify.fit import (
     UNKNOWN_S,
     _is_correlated,
     _RobotFit,
-    block_numbers,
-    widening_from_blocks,
+    assign_blocks,
+    compute_block_widening,
 )
 
 NORMAL = 1.959964
@@ -26,7 +26,7 @@ NORMAL = 1.959964
 def fitted(**values):
     """A fit of two robots in mid-course, without having run a pass."""
     made = object.__new__(_RobotFit)
-    made.frames = [SimpleNamespace(lag=0.0)]
+    made.frames = [SimpleNamespace(lag_s=0.0)]
     made.mean = np.array(
         [[math.log(4.0), math.log(200.0), 0.1], [math.log(2.0), math.log(150.0), 0.0]]
     )
@@ -121,7 +121,7 @@ def test_a_fit_starts_each_robot_at_its_likeliest_rate(monkeypatch, expected_s):
         )
 
     monkeypatch.setattr(fit, "run_filter", run)
-    made = fitted(frames=[SimpleNamespace(time=np.zeros(3)), SimpleNamespace(time=np.zeros(9))])
+    made = fitted(frames=[SimpleNamespace(time_s=np.zeros(3)), SimpleNamespace(time_s=np.zeros(9))])
     tau, mean, std = made._find_start(expected_s)
     assert tau == pytest.approx(best_s, abs=0.03)
     assert mean[:, 0] - 100 * tau == pytest.approx(best)
@@ -164,7 +164,7 @@ def test_an_end_too_far_away_is_unknown():
 
 
 def test_the_delay_that_a_host_assumes_widens_a_alone_and_only_with_lagging_wheels():
-    lagging = fitted(frames=[SimpleNamespace(lag=0.0), SimpleNamespace(lag=0.1)])
+    lagging = fitted(frames=[SimpleNamespace(lag_s=0.0), SimpleNamespace(lag_s=0.1)])
     plain, wider = fitted()._motion_intervals(), lagging._motion_intervals()
     assert wider[0, 0, 2] > plain[0, 0, 2]
     expected = 4 * math.exp(NORMAL * math.hypot(0.02, 4 * fit.RADIO_DELAY_ERROR_S))
@@ -203,7 +203,7 @@ def test_residuals_that_follow_each_other_are_correlated_and_white_ones_are_not(
 def test_blocks_are_as_many_as_the_time_has_and_eight_at_least(seconds, count):
     duration_s = np.random.default_rng(2).uniform(0.04, 0.06, round(seconds * 20))
     duration_s *= seconds / duration_s.sum()
-    blocks = block_numbers(duration_s)
+    blocks = assign_blocks(duration_s)
     assert len(set(blocks)) == count == max(BLOCKS_MIN, round(seconds / BLOCK_S))
     assert (np.diff(blocks) >= 0).all()
     lengths = np.bincount(blocks, duration_s)
@@ -213,14 +213,14 @@ def test_blocks_are_as_many_as_the_time_has_and_eight_at_least(seconds, count):
 def test_equal_blocks_have_the_quantile_of_the_t_distribution():
     for blocks in (2, 8, 50):
         expected = stats.t.ppf(0.975, blocks - 1) / stats.norm.ppf(0.975)
-        assert widening_from_blocks(np.ones((blocks, 1))) == pytest.approx([expected], rel=1e-4)
+        assert compute_block_widening(np.ones((blocks, 1))) == pytest.approx([expected], rel=1e-4)
     few = np.zeros((50, 1))
     few[:3] = 2.0  # the robot turns in three blocks only
     expected = stats.t.ppf(0.975, 2) / stats.norm.ppf(0.975)
-    assert widening_from_blocks(few) == pytest.approx([expected], rel=1e-4)
+    assert compute_block_widening(few) == pytest.approx([expected], rel=1e-4)
     negative = np.vstack([few, [[-7.0]]])
-    assert widening_from_blocks(negative) == pytest.approx(widening_from_blocks(few))
-    assert np.isfinite(widening_from_blocks(np.zeros((5, 2)))).all()
+    assert compute_block_widening(negative) == pytest.approx(compute_block_widening(few))
+    assert np.isfinite(compute_block_widening(np.zeros((5, 2)))).all()
 
 
 # rounds
@@ -338,8 +338,8 @@ def test_a_result_has_the_values_of_each_robot_and_its_misfits(monkeypatch):
     )
     monkeypatch.setattr(_RobotFit, "fit_motion", lambda self, watched=False: passed)
     monkeypatch.setattr(_RobotFit, "_widen_deviations", lambda self: None)
-    monkeypatch.setattr(fit, "speed_wander", lambda frames: np.array([0.2, 0.01]))
-    monkeypatch.setattr(fit, "intervals_used", lambda frames: np.array([100, 90]))
+    monkeypatch.setattr(fit, "compute_speed_wander", lambda frames: np.array([0.2, 0.01]))
+    monkeypatch.setattr(fit, "count_driving_intervals", lambda frames: np.array([100, 90]))
     dead_time, (one, two) = fitted().result(("one", "two"), True)
     assert dead_time.value == 0.12
     assert (one.name, two.name) == ("one", "two")
@@ -348,8 +348,8 @@ def test_a_result_has_the_values_of_each_robot_and_its_misfits(monkeypatch):
     assert (one.heading_bias.value, two.heading_bias.value) == (0.1, 0.0)
     assert (one.lost, two.lost) == (2, 1)
     assert (one.intervals, two.intervals) == (100, 90)
-    assert one.misfits == (fit.ALONG,)
-    assert two.misfits == (fit.HEADING,)
+    assert one.misfits == (fit.SPEED_MISFIT,)
+    assert two.misfits == (fit.HEADING_MISFIT,)
     assert one.position_noise.value == pytest.approx(0.4 * math.exp(0.5))
     assert one.heading_noise.value == pytest.approx(0.02 * math.exp(-0.3))
     assert one.heading_walk.value == pytest.approx(0.05 * 1.5)
@@ -362,20 +362,22 @@ def test_a_speed_wanders_only_beyond_what_noise_of_positions_makes(monkeypatch):
     passed = SimpleNamespace(heading_residuals=np.zeros((9, 2)), lost=np.zeros(2))
     monkeypatch.setattr(_RobotFit, "fit_motion", lambda self, watched=False: passed)
     monkeypatch.setattr(_RobotFit, "_widen_deviations", lambda self: None)
-    monkeypatch.setattr(fit, "intervals_used", lambda frames: np.array([100, 90]))
+    monkeypatch.setattr(fit, "count_driving_intervals", lambda frames: np.array([100, 90]))
     noisy = np.array([[math.log(20.0 / 0.4), 1.0, 0, 1.0], [0.0, 1.0, 0, 1.0]])  # 20 mm
     limit = 2 * math.sqrt(2) * 20.0 / 200.0
     for wander, wanders in ((limit * 0.99, False), (limit * 1.01, True)):
-        monkeypatch.setattr(fit, "speed_wander", lambda frames, w=wander: np.array([w, 0.0]))
+        monkeypatch.setattr(
+            fit, "compute_speed_wander", lambda frames, w=wander: np.array([w, 0.0])
+        )
         _, (one, two) = fitted(noise=noisy).result(("one", "two"), True)
-        assert (one.misfits == (fit.ALONG,)) is wanders
+        assert (one.misfits == (fit.SPEED_MISFIT,)) is wanders
         assert two.misfits == ()
 
 
 def test_a_fit_starts_from_the_measured_noise_in_units_of_the_usual_one(monkeypatch):
     """A robot of twice the speed has twice the usual noise and walk of positions."""
     speed = np.array([100.0, 200.0])
-    monkeypatch.setattr(fit, "position_noise", lambda frames: np.array([0.0, 1e3]))
+    monkeypatch.setattr(fit, "estimate_position_noise", lambda frames: np.array([0.0, 1e3]))
     monkeypatch.setattr(_RobotFit, "_find_start", lambda self, tau: (tau, self.mean, self.std))
     made = _RobotFit([], np.array([4.0, 2.0]), speed, 0.1)
     position, walk, heading, heading_walk = made._noise_unit.T

@@ -13,12 +13,12 @@ from tetractl_identify.identify import (
     Doubt,
     IdentifiedRobots,
     identify,
+    is_turning_uniform,
+    remove_unsure_intervals,
     tables,
-    turn_uniformly,
-    without_unsure_intervals,
 )
-from tetractl_identify.passes import TrackFrames, speed_wander
-from tetractl_identify.tracks import Track, track_of
+from tetractl_identify.passes import TrackFrames, compute_speed_wander
+from tetractl_identify.tracks import Track, extract_track
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -88,13 +88,13 @@ def drive(seed, *sets, period_s=PERIOD_S, directions=None, count=50):
         origin="simulation",
         unit="mm",
         names=setup.names,
-        time=np.array([observation.sampled_ns for observation in observations]) / SECOND,
+        time_s=np.array([observation.sampled_ns for observation in observations]) / SECOND,
         poses=np.array([observation.poses.array() for observation in observations]),
         valid=np.array([observation.valid for observation in observations]),
-        sent=np.array([command.sent_ns for command in commands]) / SECOND,
-        u=np.array([command.direction for command in commands]),
-        until=stop.sent_ns / SECOND,
-        watchdog=setup.watchdog_s,
+        sent_s=np.array([command.sent_ns for command in commands]) / SECOND,
+        direction_rad=np.array([command.direction for command in commands]),
+        stop_s=stop.sent_ns / SECOND,
+        watchdog_s=setup.watchdog_s,
     )
     return Drive(plant, track)
 
@@ -125,7 +125,7 @@ def test_without_noise_everything_is_found_exactly():
 def test_a_dead_time_below_zero_is_printed_and_leads_to_the_checklist(late_s):
     """Regression: a dead time of 0.000 (0.000 to 0.000) s, and "the model fits" of 0.1 s."""
     track = drive(1, "plant.dead_time=0.05", count=25).track
-    identification = identify([replace(track, sent=track.sent + late_s)], A_RAD_S, None)
+    identification = identify([replace(track, sent_s=track.sent_s + late_s)], A_RAD_S, None)
     assert identification.dead_time.value == pytest.approx(0.05 - late_s, abs=2e-3)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.01)
     assert "work through the checklist" in tables(identification)[0].note
@@ -211,7 +211,7 @@ def identification_of(*robots, **fields: Any):
 
 def test_intervals_that_hold_too_seldom_are_not_printed():
     """Of a robot's six those of the noise and of the walk of headings."""
-    identification = without_unsure_intervals(identification_of(identified_robot()))
+    identification = remove_unsure_intervals(identification_of(identified_robot()))
     (table,) = tables(identification)
     text = str([*table.rows])
     assert text.count("0.0123 (0.0100 to 0.0200)") == 4
@@ -254,7 +254,7 @@ def test_what_a_doubt_may_spoil_has_no_interval(flag, says):
     2.78 (2.74 to 2.81) rad/s for a robot of 3.0; of directions that turn uniformly 4.87 (4.6 to
     5.1) for an a of 4, and a dead time of .302 for .10; of robots that steer themselves 2.91 (2.76
     to 3.07) of smooth directions and 4.22 (4.12 to 4.32) of those that jump."""
-    identification = without_unsure_intervals(
+    identification = remove_unsure_intervals(
         identification_of(ODD_SPEED, ODD_HEADING, **{flag: True})
     )
     assert np.isnan(identification.dead_time.low)  # which all robots share
@@ -276,7 +276,7 @@ def test_a_lag_is_asked_for_of_robots_on_wheels(lag_s):
     on_wheels = replace(driven.track, on_wheels=True)
     doubt = Doubt.LAG_UNSTATED if lag_s else None
     assert identify([on_wheels], A_RAD_S).doubt is doubt
-    assert identify([replace(on_wheels, lag=LAG_S)], A_RAD_S).doubt is None
+    assert identify([replace(on_wheels, lag_s=LAG_S)], A_RAD_S).doubt is None
 
 
 def turning(*directions, apart_s=0.1):
@@ -287,12 +287,12 @@ def turning(*directions, apart_s=0.1):
             origin="CSV",
             unit="mm",
             names=(),
-            time=np.empty(0),
+            time_s=np.empty(0),
             poses=np.empty((0, 0, 3)),
             valid=np.empty((0, 0), dtype=bool),
-            sent=apart_s * np.arange(len(u)),
-            u=np.asarray(u),
-            until=60.0,
+            sent_s=apart_s * np.arange(len(u)),
+            direction_rad=np.asarray(u),
+            stop_s=60.0,
         )
         for u in directions
     ]
@@ -303,9 +303,9 @@ ROTATION = 0.8 * TIMES_S
 
 
 def test_directions_that_turn_uniformly_are_noticed():
-    assert turn_uniformly(turning(ROTATION))
-    assert turn_uniformly(turning(np.angle(np.exp(1j * ROTATION))))  # wrapped
-    assert turn_uniformly(turning(ROTATION, -ROTATION))
+    assert is_turning_uniform(turning(ROTATION))
+    assert is_turning_uniform(turning(np.angle(np.exp(1j * ROTATION))))  # wrapped
+    assert is_turning_uniform(turning(ROTATION, -ROTATION))
 
 
 @pytest.mark.long
@@ -316,7 +316,7 @@ def test_a_model_that_fits_is_said_to_and_intervals_are_as_wide_as_blocks_of_tim
     assert not any(robot.misfits for robot in identification.robots)
     assert "the model fits" in tables(identification)[0].note
     (_, even, _) = identification.robots
-    pull = 0.15 * np.sign(np.sin(2 * np.pi * track.time / 6.0))
+    pull = 0.15 * np.sign(np.sin(2 * np.pi * track.time_s / 6.0))
     track.poses[:, 1, 2] += pull
     (_, uneven, _) = identify([track], A_RAD_S).robots
     assert width(uneven.heading_bias) > 3 * width(even.heading_bias)
@@ -348,7 +348,7 @@ def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     """Regression: logs of the bench gave a dead time 0.03 s too long, and a 6 % too low."""
     radio = "plant.disturbances=[{type: radio, delay: 0.01, jitter: 0.0, loss: 0.0}]"
     driven = drive(2, *LAGGING_WHEELS, radio, *NOISY, count=25)
-    identification = identify([replace(driven.track, lag=LAG_S)], A_RAD_S)
+    identification = identify([replace(driven.track, lag_s=LAG_S)], A_RAD_S)
     assert identification.dead_time.value == pytest.approx(0.01, abs=0.005)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.04)
 
@@ -365,7 +365,7 @@ def test_lost_commands_are_counted():
 def test_pooled_tracks_tell_more_than_one(monkeypatch):
     sets = (*NOISY, "plant.dead_time=0.1")
     tracks = [drive(seed, *sets, count=25).track for seed in (1, 2)]
-    monkeypatch.setattr(fit, "widening_from_blocks", lambda _: 0.0)  # blocks differ at random
+    monkeypatch.setattr(fit, "compute_block_widening", lambda _: 0.0)  # blocks differ at random
     of_one = identify(tracks[:1], A_RAD_S)
     of_both = identify(tracks, A_RAD_S)
     assert of_both.commands == 2 * 25
@@ -383,7 +383,7 @@ def blue_stands(track):
 
 def in_days(track):
     """As of a spreadsheet."""
-    return replace(track, time=track.time / 86400, sent=track.sent / 86400)
+    return replace(track, time_s=track.time_s / 86400, sent_s=track.sent_s / 86400)
 
 
 REFUSED = {
@@ -453,8 +453,8 @@ def slips(track, robot):
 def test_only_the_speed_of_a_robot_that_slips_wanders(sets):
     """Regression: a random walk of the positions stood for the slip, and the model fitted."""
     track = drive(5, *sets).track
-    assert (speed_wander([TrackFrames.from_track(track)]) < SPEED_WANDER_MAX / 2).all()
-    wander = speed_wander([TrackFrames.from_track(slips(track, 1))])
+    assert (compute_speed_wander([TrackFrames.from_track(track)]) < SPEED_WANDER_MAX / 2).all()
+    wander = compute_speed_wander([TrackFrames.from_track(slips(track, 1))])
     assert wander[1] > 3 * SPEED_WANDER_MAX
     assert (wander[[0, 2]] < SPEED_WANDER_MAX / 2).all()
 
@@ -477,7 +477,7 @@ def test_directions_that_turn_smoothly_take_more_rounds():
     identification = identify([replace(driven.track, rates_unstated=True)], None, None)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.03)
     assert np.isnan(
-        without_unsure_intervals(identification).robots[0].a.low
+        remove_unsure_intervals(identification).robots[0].a.low
     )  # as of a table that states a lag
 
 
@@ -486,10 +486,10 @@ def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
     in ten its dead time."""
     track = drive(2, *LAGGING_WHEELS, count=5).track
     without_lag = TrackFrames.from_track(track)
-    assert not without_lag.restarts[0].any()
-    lagging = TrackFrames.from_track(replace(track, lag=LAG_S))
-    assert lagging.restarts[0].all()
-    assert lagging.used[1:].all()
+    assert not without_lag.is_restart[0].any()
+    lagging = TrackFrames.from_track(replace(track, lag_s=LAG_S))
+    assert lagging.is_restart[0].all()
+    assert lagging.is_used[1:].all()
     hold_s, hold_s2, _ = lagging.hold_moments
     assert 0.025 <= hold_s <= 0.05  # at 40 Hz and at each new direction
     assert hold_s2 >= hold_s**2
@@ -499,9 +499,9 @@ def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
 def test_headings_are_not_judged_where_commands_between_two_are_unknown():
     """Regression: "the model does not fit" of one right export of eight."""
     track = drive(5, *NOISY, "plant.dead_time=0.1").track
-    track.poses[:, 1, 2] += 0.15 * np.sign(np.sin(track.time))
+    track.poses[:, 1, 2] += 0.15 * np.sign(np.sin(track.time_s))
     (_, judged, _) = identify([track], A_RAD_S).robots
-    (_, exported, _) = identify([replace(track, all_commands=False)], A_RAD_S).robots
+    (_, exported, _) = identify([replace(track, has_all_commands=False)], A_RAD_S).robots
     assert "heading" in judged.misfits
     assert "heading" not in exported.misfits
 
@@ -524,10 +524,10 @@ def test_the_speed_of_a_robot_that_does_not_slip_does_not_wander(name):
     left out, and the model did not fit two right robots of three."""
     track = drive(5, *STEADY[name], count=150).track
     noise_mm = 2.0 if "position: 2" in str(STEADY[name]) else POSITION_NOISE_MM
-    wander = speed_wander([TrackFrames.from_track(track)])
+    wander = compute_speed_wander([TrackFrames.from_track(track)])
     most = np.maximum(SPEED_WANDER_MAX, 2 * np.sqrt(2) * noise_mm / 150.0)
     assert (wander < most).all()
-    assert speed_wander([TrackFrames.from_track(slips(track, 1))])[1] > most
+    assert compute_speed_wander([TrackFrames.from_track(slips(track, 1))])[1] > most
 
 
 @pytest.mark.long
@@ -536,8 +536,8 @@ def test_the_lag_that_the_controller_found_counts_in_a_log(tmp_path):
     bench = ROOT / "experiments" / "three_m3pi_bench.yaml"
     run_logged(load_spec(bench, ("plant.drive.lag=0.133", "trials.seed=88401")), tmp_path, 0)
     log = read_trial(log_path(tmp_path, 0))
-    track = track_of(log)
-    assert track.lag == pytest.approx(0.133, abs=0.02)
+    track = extract_track(log)
+    assert track.lag_s == pytest.approx(0.133, abs=0.02)
     true = json.loads(log.start.plant.facts["true_a"])
     found = [robot.a.value for robot in identify([track], log.start.setup.a).robots]
     assert found == pytest.approx(true, rel=0.1)

@@ -13,18 +13,18 @@ from tetractl_identify import identify as module
 from tetractl_identify.explained import Explained
 from tetractl_identify.fit import FittedRobot
 from tetractl_identify.identify import (
-    TURN_LEAST,
-    UNIFORM_RAD,
-    UNKNOWN_A,
+    DEFAULT_A,
+    TOTAL_TURN_MIN_RAD,
+    UNIFORM_DEVIATION_MAX_RAD,
     Doubt,
     IdentifiedRobots,
     cell,
+    create_row_labels,
+    create_spec_section,
     identify,
-    labels_of,
-    spec_section,
+    is_turning_uniform,
+    remove_unsure_intervals,
     tables,
-    turn_uniformly,
-    without_unsure_intervals,
 )
 from tetractl_identify.tracks import Track
 
@@ -103,12 +103,12 @@ def _driven(seed):
         origin="CSV",
         unit="mm",
         names=("one", "two"),
-        time=times[::SUBSTEPS],
+        time_s=times[::SUBSTEPS],
         poses=path,
         valid=np.ones(path.shape[:2], dtype=bool),
-        sent=sent,
-        u=u,
-        until=LONG_S,
+        sent_s=sent,
+        direction_rad=u,
+        stop_s=LONG_S,
     )
 
 
@@ -156,9 +156,9 @@ def test_a_fit_gets_the_expected_values_and_the_measured_speeds(fitted):
     assert speed == pytest.approx([100, 60], rel=0.01)
     assert dead_time == 0.2
     assert all_commands is True
-    identify([driven(), driven(2, all_commands=False)], None)
+    identify([driven(), driven(2, has_all_commands=False)], None)
     _, a, _, dead_time, all_commands = fitted["given"]
-    assert a.tolist() == [UNKNOWN_A, UNKNOWN_A]
+    assert a.tolist() == [DEFAULT_A, DEFAULT_A]
     assert dead_time == 0.05
     assert all_commands is False
 
@@ -194,7 +194,7 @@ def test_a_dead_time_far_off_explains_no_turning(fitted):
 
 
 def test_a_gap_in_the_poses_is_not_judged(fitted):
-    valid = np.ones((len(driven().time), 2), dtype=bool)
+    valid = np.ones((len(driven().time_s), 2), dtype=bool)
     valid[200:260] = False
     found = identify([driven(valid=valid)], A)
     for explained in (*found.turning_explained, *found.distance_explained):
@@ -203,13 +203,13 @@ def test_a_gap_in_the_poses_is_not_judged(fitted):
 
 def test_the_commands_and_ages_of_all_tracks_are_pooled(fitted):
     tracks = [
-        driven(1, frame_age=0.03, source="a.csv", commands_source="b.csv"),
-        driven(2, frame_age=None, source="c.csv"),
-        driven(3, frame_age=0.05, source="d.csv", origin="lab"),
-        driven(4, frame_age=0.04, source="e.csv"),
+        driven(1, frame_age_s=0.03, source="a.csv", commands_source="b.csv"),
+        driven(2, frame_age_s=None, source="c.csv"),
+        driven(3, frame_age_s=0.05, source="d.csv", origin="lab"),
+        driven(4, frame_age_s=0.04, source="e.csv"),
     ]
     found = identify(tracks, A)
-    assert found.commands == 4 * len(tracks[0].u)
+    assert found.commands == 4 * len(tracks[0].direction_rad)
     assert found.frame_age == pytest.approx(0.04)
     assert found.sources == ("a.csv", "c.csv", "d.csv", "e.csv")
     assert found.origin == "CSV, lab"
@@ -233,8 +233,10 @@ def test_a_doubt_of_one_track_is_a_doubt_of_all(fitted):
 def test_a_lag_is_doubted_only_on_wheels_whose_lag_nothing_states(
     fitted, monkeypatch, on_wheels, lag, turns_as_lagging, may_lag
 ):
-    monkeypatch.setattr(module, "lag_may_turn", lambda tracks, dead_time_s: turns_as_lagging)
-    assert identify([driven(on_wheels=on_wheels, lag=lag)], A).may_lag is may_lag
+    monkeypatch.setattr(
+        module, "may_lag_explain_turns", lambda tracks, dead_time_s: turns_as_lagging
+    )
+    assert identify([driven(on_wheels=on_wheels, lag_s=lag)], A).may_lag is may_lag
 
 
 def test_the_strength_of_the_field_is_that_of_the_tracks(fitted):
@@ -244,7 +246,7 @@ def test_the_strength_of_the_field_is_that_of_the_tracks(fitted):
 
 @pytest.mark.parametrize(("seconds", "is_enough"), [(1.05 + 1e-6, True), (1.0 + 1e-6, False)])
 def test_robots_must_drive_in_at_least_twenty_intervals(fitted, seconds, is_enough):
-    track = driven(until=seconds)
+    track = driven(stop_s=seconds)
     if is_enough:
         assert identify([track], A).robots
         return
@@ -271,12 +273,12 @@ def directions(*all_u, apart_s=0.1):
             origin="CSV",
             unit="mm",
             names=(),
-            time=empty,
+            time_s=empty,
             poses=np.empty((0, 0, 3)),
             valid=np.empty((0, 0), dtype=bool),
-            sent=5.0 + apart_s * np.arange(len(u)),
-            u=np.asarray(u, dtype=float),
-            until=60.0,
+            sent_s=5.0 + apart_s * np.arange(len(u)),
+            direction_rad=np.asarray(u, dtype=float),
+            stop_s=60.0,
         )
         for u in all_u
     ]
@@ -289,37 +291,37 @@ LINE = np.linspace(0, 4, 100)
     ("off", "uniform"), [(0.9, True), (-0.9, True), (1.2, False), (-1.2, False)]
 )
 def test_directions_near_a_straight_line_turn_uniformly(off, uniform):
-    bent = LINE + off * UNIFORM_RAD * np.cos(np.linspace(0, 8 * np.pi, 100))
-    assert turn_uniformly(directions(bent)) == uniform
+    bent = LINE + off * UNIFORM_DEVIATION_MAX_RAD * np.cos(np.linspace(0, 8 * np.pi, 100))
+    assert is_turning_uniform(directions(bent)) == uniform
 
 
 @pytest.mark.parametrize(("jump", "uniform"), [(0.9, True), (1.1, False)])
 def test_directions_that_jump_do_not_turn_uniformly(jump, uniform):
-    steps = jump * UNIFORM_RAD * np.arange(12)
-    assert turn_uniformly(directions(steps)) == uniform
-    assert turn_uniformly(directions(-steps)) == uniform
+    steps = jump * UNIFORM_DEVIATION_MAX_RAD * np.arange(12)
+    assert is_turning_uniform(directions(steps)) == uniform
+    assert is_turning_uniform(directions(-steps)) == uniform
 
 
 @pytest.mark.parametrize(("turn", "uniform"), [(1.01, True), (0.99, False), (0.0, False)])
 def test_directions_that_hardly_turn_do_not_turn_uniformly(turn, uniform):
-    assert turn_uniformly(directions(np.linspace(0, turn * TURN_LEAST, 50))) == uniform
+    assert is_turning_uniform(directions(np.linspace(0, turn * TOTAL_TURN_MIN_RAD, 50))) == uniform
 
 
 def test_few_directions_or_directions_of_one_time_do_not_turn_uniformly():
-    assert not turn_uniformly(directions([0.0, 0.15]))
-    assert not turn_uniformly(directions(LINE, apart_s=0.0))
+    assert not is_turning_uniform(directions([0.0, 0.15]))
+    assert not is_turning_uniform(directions(LINE, apart_s=0.0))
 
 
 @pytest.mark.parametrize(("factor", "uniform"), [(1.09, True), (1.11, False), (-1.05, True)])
 def test_tracks_must_turn_at_the_same_rate(factor, uniform):
-    assert turn_uniformly(directions(LINE, factor * LINE)) == uniform
-    assert turn_uniformly(directions(factor * LINE, LINE)) == uniform
+    assert is_turning_uniform(directions(LINE, factor * LINE)) == uniform
+    assert is_turning_uniform(directions(factor * LINE, LINE)) == uniform
 
 
 def test_one_track_that_does_not_turn_uniformly_is_enough():
     other = np.random.default_rng(1).uniform(-2, 2, 50)
-    assert not turn_uniformly(directions(LINE, other))
-    assert not turn_uniformly(directions(other, LINE))
+    assert not is_turning_uniform(directions(LINE, other))
+    assert not is_turning_uniform(directions(other, LINE))
 
 
 # doubts and intervals
@@ -339,7 +341,7 @@ def test_the_first_reason_for_doubt_counts(flags, doubt):
 
 
 def test_without_a_doubt_only_noise_of_headings_loses_its_interval():
-    sure = without_unsure_intervals(result(robot("one"), robot("two")))
+    sure = remove_unsure_intervals(result(robot("one"), robot("two")))
     assert sure.dead_time == interval(0.1)
     for found in sure.robots:
         assert (found.a, found.heading_bias) == (interval(4.0), interval(0.0))
@@ -355,7 +357,7 @@ def test_without_a_doubt_only_noise_of_headings_loses_its_interval():
 
 def test_a_section_of_a_spec_has_the_values_of_each_robot():
     found = result(robot("one"), robot("two", a=interval(2.0)), frame_age=0.03, strength=2.0)
-    section = spec_section(found, "now")
+    section = create_spec_section(found, "now")
     assert (section.identified, section.origin, section.unit) == ("now", "CSV", "mm")
     assert section.sources == ("p.csv",)
     assert (section.frame_age, section.strength) == (0.03, 2.0)
@@ -363,22 +365,28 @@ def test_a_section_of_a_spec_has_the_values_of_each_robot():
     a = section.robots["one"].a
     assert (a.low, a.high) == (3.99, 4.01)
     assert section.robots["one"].speed.value == 100.0
-    assert spec_section(result(), "now").frame_age == 0.0
+    assert create_spec_section(result(), "now").frame_age == 0.0
 
 
 def test_an_end_that_is_not_known_is_left_out_of_a_spec():
     ends = [(0.0, INF), (-INF, 1.0), (math.nan, math.nan)]
     for low, high in ends:
-        a = spec_section(result(robot(a=SampleInterval(0.5, low, high))), "now").robots["one"].a
+        a = (
+            create_spec_section(result(robot(a=SampleInterval(0.5, low, high))), "now")
+            .robots["one"]
+            .a
+        )
         assert a.value == 0.5
         assert a.low == (low if math.isfinite(low) else None)
         assert a.high == (high if math.isfinite(high) else None)
 
 
 def test_a_dead_time_in_a_spec_is_never_negative():
-    dead_time = spec_section(result(dead_time=SampleInterval(-0.01, -0.02, 0.03)), "now").dead_time
+    dead_time = create_spec_section(
+        result(dead_time=SampleInterval(-0.01, -0.02, 0.03)), "now"
+    ).dead_time
     assert (dead_time.value, dead_time.low, dead_time.high) == (0.0, 0.0, 0.03)
-    kept = spec_section(result(dead_time=SampleInterval(0.1, 0.05, 0.2)), "now").dead_time
+    kept = create_spec_section(result(dead_time=SampleInterval(0.1, 0.05, 0.2)), "now").dead_time
     assert (kept.value, kept.low, kept.high) == (0.1, 0.05, 0.2)
 
 
@@ -407,7 +415,9 @@ def test_a_value_is_rounded_to_two_digits_of_half_its_interval(ends, text):
 
 
 def test_labels_have_units_if_there_are_any():
-    labels = labels_of({"speed_gain": "", "speed": "{unit}/s", "way_walk": "{unit}/sqrt(s)"}, "um")
+    labels = create_row_labels(
+        {"speed_gain": "", "speed": "{unit}/s", "way_walk": "{unit}/sqrt(s)"}, "um"
+    )
     assert labels == ["speed gain", "speed [um/s]", "way walk [um/sqrt(s)]"]
 
 

@@ -19,7 +19,7 @@ def command(monkeypatch):
 
     def track(path, speeds=False):
         return SimpleNamespace(
-            source=path, sent=[0.0, 1.0], origin="lab", unit="mm", remarks=(f"of {path}",),
+            source=path, sent_s=[0.0, 1.0], origin="lab", unit="mm", remarks=(f"of {path}",),
             twists=SimpleNamespace(size=4 if speeds else 0),
         )  # fmt: skip
 
@@ -39,7 +39,7 @@ def command(monkeypatch):
         asked.fitted = ([track.source for track in tracks], a, dead_time)
         return "robots"
 
-    def respond(tracks):
+    def fit_responses(tracks):
         asked.responded = [track.source for track in tracks]
         return ["response"]
 
@@ -51,20 +51,22 @@ def command(monkeypatch):
     monkeypatch.setattr(module, "find_logs", list)
     monkeypatch.setattr(module.ui, "open_trial", open_trial)
     monkeypatch.setattr(
-        f"{place}.tracks.track_of", lambda trial: track(f"directions of {trial.path}")
+        f"{place}.tracks.extract_track", lambda trial: track(f"directions of {trial.path}")
     )
-    monkeypatch.setattr(f"{place}.tracks.wheels_of", lambda trial: track(f"wheels of {trial.path}"))
+    monkeypatch.setattr(
+        f"{place}.tracks.extract_wheel_track", lambda trial: track(f"wheels of {trial.path}")
+    )
     monkeypatch.setattr(f"{place}.tracks.require_same", lambda tracks: None)
     monkeypatch.setattr(
-        f"{place}.csv_tracks.csv_tracks",
+        f"{place}.csv_tracks.read_csv_tracks",
         lambda paths: [track(str(path), asked.speeds) for path in paths],
     )
     monkeypatch.setattr(f"{place}.identify.identify", fit)
-    monkeypatch.setattr(f"{place}.identify.without_unsure_intervals", lambda robots: robots)
+    monkeypatch.setattr(f"{place}.identify.remove_unsure_intervals", lambda robots: robots)
     monkeypatch.setattr(f"{place}.identify.tables", lambda robots: [])
-    monkeypatch.setattr(f"{place}.identify.spec_section", lambda robots, when: section)
-    monkeypatch.setattr(f"{place}.response.respond", respond)
-    monkeypatch.setattr(f"{place}.robot_response.response_table", lambda *args: args[1])
+    monkeypatch.setattr(f"{place}.identify.create_spec_section", lambda robots, when: section)
+    monkeypatch.setattr(f"{place}.response.fit_responses", fit_responses)
+    monkeypatch.setattr(f"{place}.robot_response.create_response_table", lambda *args: args[1])
     monkeypatch.setattr(
         module.ui, "show", lambda as_json, items, tables: print("json" if as_json else tables)
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from tetractl_identify.motive import table_rows
+from tetractl_identify.motive import read_table_rows
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import wrap
@@ -152,7 +152,7 @@ def assert_agree(poses, expected):
 @pytest.mark.parametrize("name", EXPORTS)
 def test_what_motive_exports_is_read(tmp_path, name):
     export = EXPORTS[name]
-    rows = list(table_rows(write(tmp_path, export.text())))
+    rows = list(read_table_rows(write(tmp_path, export.text())))
     unit, per_metre = UNITS[export.units]
     for body, robot in enumerate(export.bodies):
         of_body = [row for row in rows if row.cells["robot"] == robot]
@@ -179,7 +179,7 @@ def test_poses_are_those_of_the_camera(tmp_path, up):
         body = RigidBody(1, tuple(place), tuple(quaternion), tracking_valid=True)
         pose = planar_pose(body, UpAxis[up.upper()])
         expected.append((pose.x, pose.y, pose.heading))
-    rows = list(table_rows(write(tmp_path, "\n".join([*lines, ""]))))
+    rows = list(read_table_rows(write(tmp_path, "\n".join([*lines, ""]))))
     assert_agree(poses_of(rows), np.array(expected))
 
 
@@ -207,16 +207,16 @@ REFUSED = {
 def test_what_cannot_be_read_is_refused(tmp_path, name):
     text, says = REFUSED[name]
     with pytest.raises(UsageError, match=says):
-        list(table_rows(write(tmp_path, text)))
+        list(read_table_rows(write(tmp_path, text)))
 
 
 def test_a_coordinate_space_that_is_not_stated_is_global(tmp_path):
-    rows = list(table_rows(write(tmp_path, PLAIN.replace(",Coordinate Space,Global", ""))))
+    rows = list(read_table_rows(write(tmp_path, PLAIN.replace(",Coordinate Space,Global", ""))))
     assert len(rows) == 3 * len(TIMES_S)
 
 
 def test_semicolons_of_a_spreadsheet_are_read(tmp_path):
     rows = list(
-        table_rows(write(tmp_path, replace(Export(), markers=False).text().replace(",", ";")))
+        read_table_rows(write(tmp_path, replace(Export(), markers=False).text().replace(",", ";")))
     )
     assert len(rows) == 3 * len(TIMES_S)

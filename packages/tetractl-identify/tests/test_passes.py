@@ -15,12 +15,12 @@ from tetractl_identify.passes import (
     PassResult,
     TrackFrames,
     _begin_track,
-    _ResidualWatch,
+    _ResidualCollector,
     _start_filter,
-    intervals_used,
-    position_noise,
-    speed_wander,
-    speeds,
+    compute_median_speeds,
+    compute_speed_wander,
+    count_driving_intervals,
+    estimate_position_noise,
 )
 from tetractl_identify.tracks import Track
 
@@ -32,14 +32,14 @@ def frames_of(poses, time, used=None):
     """M frames of N robots, all of them used."""
     count, robots = poses.shape[:2]
     return TrackFrames(
-        time=np.repeat(np.asarray(time, dtype=float)[:, None], robots, axis=1),
+        time_s=np.repeat(np.asarray(time, dtype=float)[:, None], robots, axis=1),
         poses=poses,
-        used=np.ones((count, robots), dtype=bool) if used is None else used,
-        restarts=np.zeros((count, robots), dtype=bool),
+        is_used=np.ones((count, robots), dtype=bool) if used is None else used,
+        is_restart=np.zeros((count, robots), dtype=bool),
         sent_s=np.array([0.0]),
-        u=np.array([0.0]),
-        watchdog=np.inf,
-        lag=0.0,
+        direction_rad=np.array([0.0]),
+        watchdog_s=np.inf,
+        lag_s=0.0,
         hold_moments=(0.0, 0.0, 0.0),
     )
 
@@ -58,9 +58,9 @@ def test_the_noise_of_positions_is_that_which_was_added(noise, seed):
     time = np.cumsum(rng.uniform(0.04, 0.06, 4000))
     poses = np.concatenate([straight(100.0, time), straight(30.0, time, -2.0)], axis=1)
     clean = frames_of(poses.copy(), time)
-    assert position_noise([clean]) == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert estimate_position_noise([clean]) == pytest.approx([0.0, 0.0], abs=1e-9)
     poses[:, 0, :2] += rng.normal(0, noise, (len(time), 2))
-    assert position_noise([frames_of(poses, time)]) == pytest.approx(
+    assert estimate_position_noise([frames_of(poses, time)]) == pytest.approx(
         [noise, 0.0], rel=0.08, abs=1e-9
     )
 
@@ -70,7 +70,7 @@ def test_frames_that_are_not_used_say_nothing_of_the_noise():
     poses = straight(100.0, time)
     used = np.arange(400)[:, None] % 10 != 4
     poses[~used[:, 0]] += 50.0
-    assert position_noise([frames_of(poses, time, used)]) == pytest.approx([0.0], abs=1e-9)
+    assert estimate_position_noise([frames_of(poses, time, used)]) == pytest.approx([0.0], abs=1e-9)
 
 
 @given(st.floats(1, 400), st.floats(0.2, 3))
@@ -78,20 +78,24 @@ def test_the_usual_speed_is_the_median_of_the_used_intervals(speed, factor):
     time = np.cumsum(np.random.default_rng(1).uniform(0.04, 0.08, 300))
     steady = frames_of(straight(speed, time), time)
     other = frames_of(straight(factor * speed, time[:50]), time[:50])
-    assert speeds([steady]) == pytest.approx([speed])
-    assert speeds([other, steady]) == pytest.approx([speed])  # most intervals are of the first
-    stands = replace(steady, used=np.zeros((300, 1), dtype=bool))
-    assert np.isinf(speeds([stands])).all()
-    assert intervals_used([steady, other, stands]).tolist() == [350]
+    assert compute_median_speeds([steady]) == pytest.approx([speed])
+    assert compute_median_speeds([other, steady]) == pytest.approx(
+        [speed]
+    )  # most intervals are of the first
+    stands = replace(steady, is_used=np.zeros((300, 1), dtype=bool))
+    assert np.isinf(compute_median_speeds([stands])).all()
+    assert count_driving_intervals([steady, other, stands]).tolist() == [350]
 
 
 def test_a_steady_speed_does_not_wander():
     time = np.arange(600) / 20
-    assert speed_wander([frames_of(straight(120.0, time), time)]) == pytest.approx([0.0], abs=1e-9)
+    assert compute_speed_wander([frames_of(straight(120.0, time), time)]) == pytest.approx(
+        [0.0], abs=1e-9
+    )
     short = frames_of(straight(120.0, time[:15]), time[:15])
-    assert speed_wander([short]).tolist() == [0.0]
+    assert compute_speed_wander([short]).tolist() == [0.0]
     hidden = frames_of(straight(120.0, time), time, np.zeros((600, 1), dtype=bool))
-    assert speed_wander([hidden]).tolist() == [0.0]
+    assert compute_speed_wander([hidden]).tolist() == [0.0]
 
 
 def test_a_speed_that_differs_between_seconds_wanders_by_its_deviation():
@@ -100,10 +104,10 @@ def test_a_speed_that_differs_between_seconds_wanders_by_its_deviation():
     paces = np.repeat(100 * (1 + 0.1 * rng.normal(size=400)), 20)
     way = np.concatenate([[0.0], np.cumsum(paces[:-1] / 20)])
     poses = np.column_stack([way, 0 * way, 0 * way])[:, None]
-    assert speed_wander([frames_of(poses, time)]) == pytest.approx([0.1], rel=0.2)
+    assert compute_speed_wander([frames_of(poses, time)]) == pytest.approx([0.1], rel=0.2)
     scaled = poses * [[[1000.0, 1000.0, 1.0]]]
-    in_um = speed_wander([frames_of(scaled, time)])
-    assert in_um == pytest.approx(speed_wander([frames_of(poses, time)]))
+    in_um = compute_speed_wander([frames_of(scaled, time)])
+    assert in_um == pytest.approx(compute_speed_wander([frames_of(poses, time)]))
 
 
 def test_a_robot_that_drives_circles_evenly_does_not_wander():
@@ -112,7 +116,7 @@ def test_a_robot_that_drives_circles_evenly_does_not_wander():
     x = 120.0 / 1.7 * np.sin(heading)
     y = -120.0 / 1.7 * np.cos(heading)
     poses = np.column_stack([x, y, np.arctan2(np.sin(heading), np.cos(heading))])[:, None]
-    assert speed_wander([frames_of(poses, time)]) == pytest.approx([0.0], abs=1e-9)
+    assert compute_speed_wander([frames_of(poses, time)]) == pytest.approx([0.0], abs=1e-9)
 
 
 def test_the_time_in_which_lost_commands_stop_a_robot_is_no_wander():
@@ -122,7 +126,7 @@ def test_the_time_in_which_lost_commands_stop_a_robot_is_no_wander():
     pace = np.where(stops, 0.0, 100.0)
     way = np.concatenate([[0.0], np.cumsum(pace[:-1] / 20)])
     poses = np.column_stack([way, 0 * way, 0 * way])[:, None]
-    assert speed_wander([frames_of(poses, time)])[0] < 0.06
+    assert compute_speed_wander([frames_of(poses, time)])[0] < 0.06
 
 
 def track(time, poses, valid=None, sent=(0.0, 5.0), lag=0.0, until=np.inf):
@@ -132,13 +136,13 @@ def track(time, poses, valid=None, sent=(0.0, 5.0), lag=0.0, until=np.inf):
         origin="a test",
         unit="mm",
         names=tuple("abc"[:robots]),
-        time=np.asarray(time),
+        time_s=np.asarray(time),
         poses=poses,
         valid=np.ones((count, robots), dtype=bool) if valid is None else valid,
-        sent=np.array(sent),
-        u=np.zeros(len(sent)),
-        until=until,
-        lag=lag,
+        sent_s=np.array(sent),
+        direction_rad=np.zeros(len(sent)),
+        stop_s=until,
+        lag_s=lag,
     )
 
 
@@ -146,13 +150,13 @@ def test_a_robot_is_used_from_where_it_drives_and_from_the_first_direction_to_th
     time = np.arange(0, 200) / 20
     poses = straight(100.0, np.maximum(time - 4.0, 0.0))  # it stands until 4 s
     frames = TrackFrames.from_track(track(time, poses, sent=(2.0, 3.0), until=9.0))
-    assert frames.time[0, 0] == pytest.approx(2.0)
-    assert frames.time[-1, 0] == pytest.approx(9.0)
-    acts = frames.time[:, 0] > 4.0 + 1e-6
-    assert (frames.used | frames.restarts)[:, 0].tolist() == acts.tolist()
-    assert frames.restarts.sum() == 1
+    assert frames.time_s[0, 0] == pytest.approx(2.0)
+    assert frames.time_s[-1, 0] == pytest.approx(9.0)
+    acts = frames.time_s[:, 0] > 4.0 + 1e-6
+    assert (frames.is_used | frames.is_restart)[:, 0].tolist() == acts.tolist()
+    assert frames.is_restart.sum() == 1
     lagging = TrackFrames.from_track(track(time, poses, sent=(2.0, 3.0), lag=0.1))
-    first = lagging.time[lagging.used | lagging.restarts].min()
+    first = lagging.time_s[lagging.is_used | lagging.is_restart].min()
     assert first == pytest.approx(4.05 - 0.3)  # where it certainly stands still
 
 
@@ -161,13 +165,13 @@ def test_frames_that_follow_too_soon_are_left_out_and_a_gap_starts_a_robot_anew(
     poses = straight(100.0, time)
     valid = ~((time > 2.0) & (time < 2.0 + RESTART_GAP_S + 0.1))[:, None]
     frames = TrackFrames.from_track(track(time, poses, valid))
-    assert np.diff(frames.time[:, 0]).min() >= FRAME_GAP_MIN_S - 1e-6
-    placed_s = frames.time[frames.restarts]
+    assert np.diff(frames.time_s[:, 0]).min() >= FRAME_GAP_MIN_S - 1e-6
+    placed_s = frames.time_s[frames.is_restart]
     assert len(placed_s) == 2
     assert placed_s[1] == pytest.approx(2.0 + RESTART_GAP_S + 0.1, abs=0.05)
-    assert not (frames.used & frames.restarts).any()
+    assert not (frames.is_used & frames.is_restart).any()
     brief = ~((time > 2.0) & (time < 2.0 + RESTART_GAP_S - 0.12))[:, None]
-    assert TrackFrames.from_track(track(time, poses, brief)).restarts.sum() == 1
+    assert TrackFrames.from_track(track(time, poses, brief)).is_restart.sum() == 1
 
 
 def test_rates_that_lagging_wheels_keep_are_weighted_by_their_times():
@@ -196,7 +200,7 @@ def test_a_robot_that_turns_in_some_seconds_and_not_in_others_does_not_wander():
     steps = 5.0 * np.sinc(rate[:-1] / 40 / np.pi) * np.exp(1j * middle)
     path = np.concatenate([[0j], np.cumsum(steps)])
     poses = np.column_stack([path.real, path.imag, np.angle(np.exp(1j * heading))])[:, None]
-    assert speed_wander([frames_of(poses, time)])[0] < 2e-3
+    assert compute_speed_wander([frames_of(poses, time)])[0] < 2e-3
 
 
 def test_a_block_counts_only_if_the_robot_was_measured_in_most_of_it():
@@ -204,10 +208,10 @@ def test_a_block_counts_only_if_the_robot_was_measured_in_most_of_it():
     pace = np.where((time % 1.0 < 0.5) & (time // 1 % 2 == 0), 200.0, 100.0)
     way = np.concatenate([[0.0], np.cumsum(pace[:-1] / 20)])
     poses = np.column_stack([way, 0 * way, 0 * way])[:, None]
-    whole = speed_wander([frames_of(poses, time)])[0]
+    whole = compute_speed_wander([frames_of(poses, time)])[0]
     fast_only = ((time // 1 % 2 == 1) | (time % 1.0 < 0.5))[:, None]
     assert whole > 0.2
-    assert speed_wander([frames_of(poses, time, fast_only)])[0] < 0.01
+    assert compute_speed_wander([frames_of(poses, time, fast_only)])[0] < 0.01
 
 
 # what a watch of the filter collects, and how the filter begins
@@ -238,7 +242,7 @@ def bank_of(newest, directions, weights, headings):
 
 
 def watched(*frames, used=True):
-    watch = _ResidualWatch(U, 1)
+    watch = _ResidualCollector(U, 1)
     for bank, heading in frames:
         watch.add(bank, np.array([[0.0, 0.0, heading]]), np.array([used]))
     return watch
@@ -306,7 +310,7 @@ def test_robots_stand_until_the_first_direction_only_if_their_wheels_lag(lag):
     time = np.arange(40) / 20
     frames = replace(
         frames_of(np.concatenate([straight(100.0, time)] * 2, axis=1), time),
-        sent_s=np.array([0.3, 0.9]), u=np.array([0.7, 1.1]), watchdog=0.25, lag=lag,
+        sent_s=np.array([0.3, 0.9]), direction_rad=np.array([0.7, 1.1]), watchdog_s=0.25, lag_s=lag,
     )  # fmt: skip
     _, bank = _start_filter(PRIOR, TAUS)
     _begin_track(bank, frames)

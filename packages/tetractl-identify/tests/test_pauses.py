@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from testkit.paths import ROOT
 from tetractl_identify.identify import identify
-from tetractl_identify.response import respond
-from tetractl_identify.tracks import SETTLED_S, track_of, wheels_of
+from tetractl_identify.response import fit_responses
+from tetractl_identify.tracks import SETTLING_S, extract_track, extract_wheel_track
 
 from tetractl.core.errors import UsageError
 from tetractl.log.read.reader import read_trial
@@ -54,7 +54,7 @@ def assert_explained(identified):
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_speed_of_robots_that_paused_is_found(log):
-    identified = identify([track_of(log)], log.start.setup.a)
+    identified = identify([extract_track(log)], log.start.setup.a)
     true = json.loads(log.start.plant.facts["true_speed"])
     speeds = [robot.speed.value for robot in identified.robots]
     assert speeds == pytest.approx(true, rel=0.01)
@@ -64,28 +64,32 @@ def test_the_speed_of_robots_that_paused_is_found(log):
 @pytest.mark.long
 @pytest.mark.slow
 def test_commands_of_another_time_are_refused_though_the_radio_was_silent(log):
-    track = track_of(log)
+    track = extract_track(log)
     with pytest.raises(UsageError, match="do not belong together"):
-        identify([replace(track, u=np.roll(track.u, 20))], log.start.setup.a)
+        identify(
+            [replace(track, direction_rad=np.roll(track.direction_rad, 20))], log.start.setup.a
+        )
 
 
 @pytest.mark.long
 @pytest.mark.slow
 def test_motion_is_not_judged_while_a_watchdog_has_stopped_a_robot(log):
-    track = track_of(log)
+    track = extract_track(log)
     received_s = [command.sent_ns / 1e9 for command in log.commands if command.delivered[0]]
     pauses = [
-        (last_s + WATCHDOG_S, again_s + SETTLED_S)
+        (last_s + WATCHDOG_S, again_s + SETTLING_S)
         for last_s, again_s in pairwise(received_s)
         if again_s - last_s > WATCHDOG_S
     ]
     assert len(pauses) == 4  # three silences of the radio, and a single lost command
-    is_left_out = np.zeros(len(track.time), dtype=bool)
+    is_left_out = np.zeros(len(track.time_s), dtype=bool)
     for begin_s, end_s in pauses:
-        is_left_out |= (track.time >= begin_s) & (track.time < end_s)
-    is_before_stop = track.time < track.until
-    assert (track.commanded[:, 0] == (track.valid[:, 0] & ~is_left_out))[is_before_stop].all()
-    assert track.commanded[:, 0].mean() > 0.5
+        is_left_out |= (track.time_s >= begin_s) & (track.time_s < end_s)
+    is_before_stop = track.time_s < track.stop_s
+    assert (track.follows_commands[:, 0] == (track.valid[:, 0] & ~is_left_out))[
+        is_before_stop
+    ].all()
+    assert track.follows_commands[:, 0].mean() > 0.5
 
 
 # ---- Robots that lose 30 % of the commands, at 20 Hz ----
@@ -113,7 +117,7 @@ def run_log(folder, name, sets):
 @pytest.mark.slow
 def test_directions_of_which_robots_lose_30_percent_are_read(tmp_path):
     log = run_log(tmp_path, "three_m3pi", LOSSY)
-    identified = identify([track_of(log)], log.start.setup.a)
+    identified = identify([extract_track(log)], log.start.setup.a)
     facts = log.start.plant.facts
     speeds = [robot.speed.value for robot in identified.robots]
     rates = [robot.a.value for robot in identified.robots]
@@ -127,7 +131,7 @@ def test_directions_of_which_robots_lose_30_percent_are_read(tmp_path):
 def test_wheels_that_lose_30_percent_of_their_speeds_are_read(tmp_path):
     """Regression: 'drives in only 6 steps between its poses'."""
     log = run_log(tmp_path, "three_m3pi_bench", LOSSY_BENCH)
-    for response in respond([wheels_of(log)]):
+    for response in fit_responses([extract_wheel_track(log)]):
         assert response.turning_lag.value == pytest.approx(0.04, abs=0.015)
         assert response.turning_gain.value == pytest.approx(1.0, abs=0.06)
         assert response.speed_gain.value == pytest.approx(1.0, abs=0.03)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
-from tetractl_identify.pose_steps import PoseSteps, robust_gains
+from tetractl_identify.pose_steps import PoseSteps, fit_robust_gains
 
 
 @given(
@@ -22,25 +22,25 @@ def test_a_step_along_an_arc_is_its_length_and_its_turn(heading, turned, way, as
     course = heading + turned * moments
     moved = np.mean(complex(way, aside) * np.exp(1j * course))
     poses = np.array([[3.0, 4.0, heading], [3.0 + moved.real, 4.0 + moved.imag, heading + turned]])
-    steps = PoseSteps.between(np.array([2.0, 2.5]), poses)
-    assert steps.moved[0] == pytest.approx(complex(way, aside), abs=1e-4)
-    assert steps.turned[0] == pytest.approx(turned, abs=1e-9)
+    steps = PoseSteps.from_poses(np.array([2.0, 2.5]), poses)
+    assert steps.displacement[0] == pytest.approx(complex(way, aside), abs=1e-4)
+    assert steps.turn_rad[0] == pytest.approx(turned, abs=1e-9)
     assert steps.duration_s.tolist() == [0.5]
 
 
 def test_a_turn_across_the_half_turn_is_the_short_one():
     poses = np.array([[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]])
-    steps = PoseSteps.between(np.array([0.0, 1.0]), poses)
-    assert steps.turned[0] == pytest.approx(math.tau - 6.2)
+    steps = PoseSteps.from_poses(np.array([0.0, 1.0]), poses)
+    assert steps.turn_rad[0] == pytest.approx(math.tau - 6.2)
 
 
 def test_steps_are_joined_and_selected_in_their_order():
     poses = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
-    one = PoseSteps.between(np.array([0.0, 1.0, 3.0]), poses)
-    both = PoseSteps.together([one, one])
-    assert both.moved.real.tolist() == [1.0, 2.0, 1.0, 2.0]
-    selected = both.at(np.array([False, True, True, False]))
-    assert selected.moved.real.tolist() == [2.0, 1.0]
+    one = PoseSteps.from_poses(np.array([0.0, 1.0, 3.0]), poses)
+    both = PoseSteps.concatenate([one, one])
+    assert both.displacement.real.tolist() == [1.0, 2.0, 1.0, 2.0]
+    selected = both.select(np.array([False, True, True, False]))
+    assert selected.displacement.real.tolist() == [2.0, 1.0]
     assert selected.duration_s.tolist() == [2.0, 1.0]
 
 
@@ -57,6 +57,6 @@ def test_robust_gains_have_the_least_sum_of_absolute_deviations(seed):
     free = [(None, None)] * 2 + [(0, None)] * count
     cost = np.concatenate([np.zeros(2), np.ones(count)])
     best = linprog(cost, rows, np.concatenate([measured, -measured]), bounds=free)
-    gains = robust_gains(measured, causes)
+    gains = fit_robust_gains(measured, causes)
     assert np.abs(measured - causes @ gains).sum() <= best.fun * 1.01
     assert gains == pytest.approx([1.5, -0.02], abs=0.1)

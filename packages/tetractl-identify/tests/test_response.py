@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tetractl_identify.response import respond
-from tetractl_identify.robot_response import response_table
+from tetractl_identify.response import fit_responses
+from tetractl_identify.robot_response import create_response_table
 from tetractl_identify.step_regression import ResponseParameters
-from tetractl_identify.tracks import Track, rows_apart
-from tetractl_identify.unusual import USUAL_RANGES, unusual_values
+from tetractl_identify.tracks import Track, select_rows_apart
+from tetractl_identify.unusual import USUAL_RANGES, describe_unusual_values
 
 from tetractl.core.errors import UsageError
 from tetractl.tools.likelihood import SampleInterval
@@ -86,12 +86,12 @@ def track_of_one_robot(
         origin="test",
         unit="mm",
         names=("one",),
-        time=times[::STEPS_PER_FRAME],
+        time_s=times[::STEPS_PER_FRAME],
         poses=poses[:, None],
         valid=np.ones((len(poses), 1), dtype=bool),
-        until=60.0,
-        sent=sent,
-        u=np.full(count, np.nan),
+        stop_s=60.0,
+        sent_s=sent,
+        direction_rad=np.full(count, np.nan),
         twists=twists[:, None],
     )
 
@@ -100,7 +100,7 @@ def track_of_one_robot(
 def test_gains_lags_and_dead_time_are_found_and_intervals_hold_them():
     holds = []
     for seed in (1, 2):  # the walk of seed 0 is drawn 25 % too large
-        (response,) = respond([track_of_one_robot(seed)])
+        (response,) = fit_responses([track_of_one_robot(seed)])
         values = response.quantities
         for name, true in TRUE.items():
             value = values[name]
@@ -118,13 +118,13 @@ def width(interval):
 def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     disturbed = track_of_one_robot(4)
     clean = track_of_one_robot(5)
-    (pooled,) = respond([disturbed, clean])
+    (pooled,) = fit_responses([disturbed, clean])
     assert pooled.intervals == pytest.approx(2 * TRACK_S / 0.1, rel=0.02)  # of 0.1 s
     assert pooled.left_out == 0
     disturbed.poses[1000:1005] += (300.0, 0.0, 1.0)
-    (response,) = respond([disturbed, clean])
+    (response,) = fit_responses([disturbed, clean])
     assert response.left_out == 2  # to the other body and back
-    (_, column) = response_table([response], "", "mm").columns
+    (_, column) = create_response_table([response], "", "mm").columns
     assert column.values[-1] == f"2 of {response.intervals + 2}"
     assert width(response.dead_time) < 1.1 * width(pooled.dead_time)
 
@@ -151,7 +151,7 @@ def test_commands_that_do_not_explain_the_motion_are_refused_in_one_sentence(cas
     with pytest.raises(
         UsageError, match="commands and the poses of one do not belong together"
     ) as e:
-        respond([with_twists(track, REFUSED[case](track))])
+        fit_responses([with_twists(track, REFUSED[case](track))])
     assert "the turning" in str(e.value)
     assert "checklist" in (e.value.hint or "")
 
@@ -172,8 +172,8 @@ SCALED = {
 def test_values_far_from_what_is_usual_are_printed_with_the_factor_and_the_checklist(case):
     factors, says = SCALED[case]
     track = track_of_one_robot(7)
-    (response,) = respond([with_twists(track, track.twists * factors)])
-    note = response_table([response], "", "mm").note
+    (response,) = fit_responses([with_twists(track, track.twists * factors)])
+    note = create_response_table([response], "", "mm").note
     assert says in note
     assert "checklist" in note
 
@@ -181,8 +181,8 @@ def test_values_far_from_what_is_usual_are_printed_with_the_factor_and_the_check
 @pytest.mark.long
 def test_speed_and_turning_rate_exchanged_are_not_given_as_if_right():
     track = track_of_one_robot(7)
-    (response,) = respond([with_twists(track, track.twists[..., ::-1] * (100, 0.01))])
-    note = response_table([response], "", "mm").note
+    (response,) = fit_responses([with_twists(track, track.twists[..., ::-1] * (100, 0.01))])
+    note = create_response_table([response], "", "mm").note
     assert "turning gain of one is 0.0388" in note
     assert "speed gain of one is" in note
 
@@ -192,12 +192,12 @@ def test_speed_and_turning_rate_exchanged_are_not_given_as_if_right():
 def test_a_clock_that_is_fast_is_found(drift):
     """Regression: a dead time of -0.12 (-0.23 to 0.00) s and a lag of 0.135 for 0.10 and 0.10."""
     track = track_of_one_robot(7)
-    moved = replace(track, sent=track.sent * (1 + drift), two_clocks=True)
-    (response,) = respond([moved])
+    moved = replace(track, sent_s=track.sent_s * (1 + drift), has_two_clocks=True)
+    (response,) = fit_responses([moved])
     assert response.clock_drift is not None
     assert response.clock_drift.low <= drift <= response.clock_drift.high
     assert response.turning_lag.low <= TRUE["turning_lag"] <= response.turning_lag.high
-    note = response_table([response], "", "mm").note
+    note = create_response_table([response], "", "mm").note
     assert ("clock drift of one" in note) == (drift > 0.1 / TRACK_S)
 
 
@@ -207,12 +207,12 @@ def test_circles_to_one_side_give_wide_intervals_and_one_sentence():
     track = track_of_one_robot(3)
     speeds = track.twists[..., :1]
     one_ratio = track_of_one_robot(3, twists=np.concatenate([speeds, 0.01 * speeds], axis=2)[:, 0])
-    (response,) = respond([one_ratio])
+    (response,) = fit_responses([one_ratio])
     for name in ("turning_gain", "speed_gain"):
         value = response.quantities[name]
         assert value.low <= TRUE[name] <= value.high
         assert width(value) > 0.8
-    note = response_table([response], "", "mm").note
+    note = create_response_table([response], "", "mm").note
     assert "the data do not determine" in note
     assert "checklist" not in note
 
@@ -220,7 +220,7 @@ def test_circles_to_one_side_give_wide_intervals_and_one_sentence():
 def with_motion_aside(track, angle, slip=0.0):
     """A track whose robot moves at an `angle` [rad] from its heading, and slips in turns by `slip`
     [rad s2/mm] times its speed times its turning rate."""
-    times = track.time
+    times = track.time_s
     x, y, heading = track.poses[:, 0].T
     steps = np.diff(x + 1j * y)
     apart_s = np.diff(times)
@@ -242,10 +242,10 @@ def test_a_car_that_slips_to_one_side_is_neither_refused_nor_called_rotated():
     to_the_left = random_twists(rng, round(TRACK_S / COMMAND_PERIOD_S), COMMANDS_PER_TWIST)
     to_the_left[:, 1] = np.abs(to_the_left[:, 1])
     track = track_of_one_robot(21, twists=to_the_left)
-    (response,) = respond([with_motion_aside(track, 0.0, slip=-0.006)])
+    (response,) = fit_responses([with_motion_aside(track, 0.0, slip=-0.006)])
     assert response.distance_explained.fraction is not None
     assert response.distance_explained.fraction > 0.9
-    assert "checklist" not in response_table([response], "", "mm").note
+    assert "checklist" not in create_response_table([response], "", "mm").note
 
 
 @pytest.mark.long
@@ -255,14 +255,14 @@ def test_a_car_that_slips_to_one_side_is_neither_refused_nor_called_rotated():
 )
 def test_a_gain_that_is_hardly_known_is_named_if_it_is_surely_unusual(interval, is_named):
     """Regression: nothing was said of a speed gain of 550 (272 to 828)."""
-    said = unusual_values([("one", {"speed_gain": SampleInterval(*interval)})])
+    said = describe_unusual_values([("one", {"speed_gain": SampleInterval(*interval)})])
     assert ("speed gain of one is" in said) == is_named
 
 
 def test_a_rotated_body_is_printed_with_the_checklist():
-    (response,) = respond([with_motion_aside(track_of_one_robot(22), 0.5)])
+    (response,) = fit_responses([with_motion_aside(track_of_one_robot(22), 0.5)])
     assert response.heading_offset.value == pytest.approx(0.5, abs=0.02)
-    note = response_table([response], "", "mm").note
+    note = create_response_table([response], "", "mm").note
     assert "heading offset of one is 0.5" in note
     assert "checklist" in note
 
@@ -270,13 +270,13 @@ def test_a_rotated_body_is_printed_with_the_checklist():
 @pytest.mark.long
 def test_a_body_that_is_rotated_by_a_quarter_turn_is_refused():
     with pytest.raises(UsageError, match="of the distance travelled"):
-        respond([with_motion_aside(track_of_one_robot(23), np.pi / 2)])
+        fit_responses([with_motion_aside(track_of_one_robot(23), np.pi / 2)])
 
 
 def seen_twice_a_second(track):
     """Regression: a traceback."""
     at = slice(None, None, 25)
-    return replace(track, time=track.time[at], poses=track.poses[at], valid=track.valid[at])
+    return replace(track, time_s=track.time_s[at], poses=track.poses[at], valid=track.valid[at])
 
 
 def half_the_poses_missing(track):
@@ -311,7 +311,7 @@ RIGHT_COMMANDS = {
 @pytest.mark.parametrize("case", RIGHT_COMMANDS)
 def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(case):
     change, shares_of_gains = RIGHT_COMMANDS[case]
-    (response,) = respond([change(track_of_one_robot(7))])
+    (response,) = fit_responses([change(track_of_one_robot(7))])
     for name, share in shares_of_gains.items():
         assert response.quantities[name].value == pytest.approx(share * TRUE[name], rel=0.03)
 
@@ -322,15 +322,15 @@ def test_a_heading_that_jumps_by_less_than_robots_turn_is_left_out():
     track = track_of_one_robot(4, commands_per_twist=60)
     for amid_twist in (375, 675, 1125):
         track.poses[amid_twist : amid_twist + 5, 0, 2] += 0.2
-    (response,) = respond([track])
+    (response,) = fit_responses([track])
     assert response.left_out == 6  # there and back
 
 
 @pytest.mark.long
 def test_the_lag_of_a_speed_that_never_changes_has_no_upper_end():
     """Regression: an interval up to 89329781684117241856 s."""
-    (response,) = respond([track_of_one_robot(6, speed=100.0)])
-    (_, column) = response_table([response], "", "mm").columns
+    (response,) = fit_responses([track_of_one_robot(6, speed=100.0)])
+    (_, column) = create_response_table([response], "", "mm").columns
     assert column.values[2].endswith("to ?)"), column.values[2]
 
 
@@ -340,14 +340,14 @@ def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
     """Regression: of commands 0.5 s late, a dead time of -0.268 (-0.277 to -0.260) s for -0.405, a
     gain of 0.908 for 0.95; 0.2 s late, 0.869 for 0.917."""
     track = track_of_one_robot(7)
-    (response,) = respond([track])
-    (moved,) = respond([replace(track, sent=track.sent + late_s)])
+    (response,) = fit_responses([track])
+    (moved,) = fit_responses([replace(track, sent_s=track.sent_s + late_s)])
     by_one_clock = response.dead_time.value
     assert moved.dead_time.value == pytest.approx(by_one_clock - late_s, abs=2e-3)
     for name in ("turning_gain", "speed_gain", "turning_lag"):
         value = response.quantities[name].value
         assert moved.quantities[name].value == pytest.approx(value, rel=0.01)
-    note = response_table([moved], "", "mm").note
+    note = create_response_table([moved], "", "mm").note
     _, latest = USUAL_RANGES["dead_time"]
     assert ("dead time of one is" in note) == (not 0 <= by_one_clock - late_s <= latest)
 
@@ -355,7 +355,7 @@ def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
 def test_steps_of_poses_at_unix_times_are_not_longer_by_rounding():
     """Regression: at 20 Hz, steps of 0.1 s were 0.15 s."""
     times_s = 1_764_000_000.25 + np.arange(200) / 20
-    assert np.diff(rows_apart(times_s - times_s[0], 0.1)).tolist() == [2] * 99
+    assert np.diff(select_rows_apart(times_s - times_s[0], 0.1)).tolist() == [2] * 99
 
 
 def test_a_search_that_goes_far_astray_does_not_overflow():

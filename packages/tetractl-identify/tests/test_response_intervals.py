@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from tetractl_identify.response import (
     PRIOR_STD,
-    RESOLVED_S,
+    TIME_RESOLUTION_S,
     UNKNOWN,
     UNKNOWN_S,
+    _create_lag_interval,
+    _create_log_normal_interval,
     _dead_time,
-    _inverse,
-    _lag_interval,
-    _log_normal,
+    _invert_curvature,
     _noise,
     _normal,
 )
-from tetractl_identify.robot_response import SHORTEST_LAG_S
+from tetractl_identify.robot_response import LAG_MIN_S
 
 NORMAL = 1.96
 
@@ -34,14 +34,14 @@ def test_a_normal_interval_reaches_as_far_to_either_side():
 
 
 def test_the_interval_of_a_logarithm_reaches_by_the_same_factor():
-    interval = _log_normal(3.0, 0.5)
+    interval = _create_log_normal_interval(3.0, 0.5)
     factor = math.exp(NORMAL * 0.5)
     assert interval.value == 3.0
     assert ends(interval) == pytest.approx((3 / factor, 3 * factor))
-    just_known = _log_normal(3.0, UNKNOWN / NORMAL * 0.999)
+    just_known = _create_log_normal_interval(3.0, UNKNOWN / NORMAL * 0.999)
     assert math.isfinite(just_known.high)
     assert just_known.low > 0
-    assert ends(_log_normal(3.0, UNKNOWN / NORMAL * 1.001)) == (0.0, math.inf)
+    assert ends(_create_log_normal_interval(3.0, UNKNOWN / NORMAL * 1.001)) == (0.0, math.inf)
 
 
 def test_a_dead_time_that_nothing_limits_has_no_ends():
@@ -52,32 +52,32 @@ def test_a_dead_time_that_nothing_limits_has_no_ends():
 
 def test_no_time_is_known_better_than_recordings_resolve():
     assert ends(_dead_time(0.1, 0.0)) == pytest.approx(
-        (0.1 - NORMAL * RESOLVED_S, 0.1 + NORMAL * RESOLVED_S)
+        (0.1 - NORMAL * TIME_RESOLUTION_S, 0.1 + NORMAL * TIME_RESOLUTION_S)
     )
     assert ends(_dead_time(0.1, 3e-3))[1] == pytest.approx(
-        0.1 + NORMAL * math.hypot(3e-3, RESOLVED_S)
+        0.1 + NORMAL * math.hypot(3e-3, TIME_RESOLUTION_S)
     )
-    lag = _lag_interval(0.1, 0.0)
-    assert lag.high == pytest.approx(0.1 * math.exp(NORMAL * RESOLVED_S / 0.1))
-    assert lag.low == pytest.approx(0.1 * math.exp(-NORMAL * RESOLVED_S / 0.1))
+    lag = _create_lag_interval(0.1, 0.0)
+    assert lag.high == pytest.approx(0.1 * math.exp(NORMAL * TIME_RESOLUTION_S / 0.1))
+    assert lag.low == pytest.approx(0.1 * math.exp(-NORMAL * TIME_RESOLUTION_S / 0.1))
 
 
 def test_the_interval_of_the_shortest_lag_begins_at_0():
-    assert _lag_interval(SHORTEST_LAG_S, 0.1).low == 0.0
-    assert _lag_interval(2 * SHORTEST_LAG_S, 0.1).low == 0.0
-    assert _lag_interval(2.1 * SHORTEST_LAG_S, 0.1).low > 0
-    assert _lag_interval(SHORTEST_LAG_S, 0.1).high > SHORTEST_LAG_S
+    assert _create_lag_interval(LAG_MIN_S, 0.1).low == 0.0
+    assert _create_lag_interval(2 * LAG_MIN_S, 0.1).low == 0.0
+    assert _create_lag_interval(2.1 * LAG_MIN_S, 0.1).low > 0
+    assert _create_lag_interval(LAG_MIN_S, 0.1).high > LAG_MIN_S
 
 
 def test_a_curvature_is_inverted():
     curvature = np.array([[4.0, 1.0], [1.0, 3.0]])
-    assert _inverse(curvature) == pytest.approx(np.linalg.inv(curvature))
+    assert _invert_curvature(curvature) == pytest.approx(np.linalg.inv(curvature))
 
 
 def test_a_hollow_or_flat_direction_counts_by_its_magnitude_or_as_the_prior():
-    hollow = _inverse(np.diag([-4.0, 2.0]))
+    hollow = _invert_curvature(np.diag([-4.0, 2.0]))
     assert hollow == pytest.approx(np.diag([0.25, 0.5]))
-    flat = _inverse(np.diag([0.0, 2.0]))
+    flat = _invert_curvature(np.diag([0.0, 2.0]))
     assert flat == pytest.approx(np.diag([PRIOR_STD**2, 0.5]))
 
 

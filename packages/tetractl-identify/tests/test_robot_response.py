@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from tetractl_identify.explained import Explained
-from tetractl_identify.robot_response import UNITS, RobotResponse, response_table
+from tetractl_identify.robot_response import UNITS, RobotResponse, create_response_table
 
 from tetractl.tools.likelihood import SampleInterval
 
@@ -38,7 +38,7 @@ GOOD = RobotResponse(
 
 
 def table(*responses):
-    return response_table(responses, "a title", "mm")
+    return create_response_table(responses, "a title", "mm")
 
 
 def notes(*responses):

@@ -41,12 +41,12 @@ def driven(seed):
             origin="CSV",
             unit="mm",
             names=("one", "two"),
-            time=times[::5],
+            time_s=times[::5],
             poses=poses,
             valid=np.ones(poses.shape[:2], dtype=bool),
-            sent=SENT_S,
-            u=u,
-            until=LONG_S,
+            sent_s=SENT_S,
+            direction_rad=u,
+            stop_s=LONG_S,
         )
     )
 
@@ -89,7 +89,7 @@ def test_rows_are_robots_in_any_order_and_number():
 
 def test_the_likelihoods_of_blocks_add_up_to_that_of_all_frames():
     whole = run_filter([ONE], BOTH, prior(BOTH), TAUS)
-    blocks = np.minimum(np.arange(len(ONE.time)) // 50, 3)
+    blocks = np.minimum(np.arange(len(ONE.time_s)) // 50, 3)
     parts = run_filter([ONE], BOTH, prior(BOTH), TAUS, blocks=[blocks])
     assert parts.block_ln_likelihoods.shape == (4, 3, 2)
     assert parts.likelihood == pytest.approx(whole.likelihood)
@@ -100,14 +100,14 @@ def test_a_second_track_adds_to_what_the_first_one_showed():
     first = run_filter([ONE], BOTH, prior(BOTH), TAUS)
     both = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS)
     assert (both.std[1] < first.std[1]).all()
-    blocks = [np.zeros(len(track.time), dtype=np.int64) + k for k, track in enumerate((ONE, TWO))]
+    blocks = [np.zeros(len(track.time_s), dtype=np.int64) + k for k, track in enumerate((ONE, TWO))]
     parts = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS, blocks=blocks)
     assert parts.block_ln_likelihoods[0] == pytest.approx(first.likelihood)
     assert parts.likelihood == pytest.approx(both.likelihood)
 
 
 def test_a_clock_that_starts_elsewhere_changes_nothing_of_the_true_dead_time():
-    later = replace(ONE, time=ONE.time + 100.0, sent_s=ONE.sent_s + 100.0)
+    later = replace(ONE, time_s=ONE.time_s + 100.0, sent_s=ONE.sent_s + 100.0)
     moved = run_filter([later], BOTH, prior(BOTH), TAUS)
     same = run_filter([ONE], BOTH, prior(BOTH), TAUS)
     assert moved.likelihood[1] == pytest.approx(same.likelihood[1], rel=1e-6)
@@ -121,8 +121,8 @@ def test_residuals_and_lost_directions_are_collected_only_if_watched():
     watched = run_filter([ONE, TWO], BOTH, prior(BOTH), TAUS, watched=True)
     assert watched.likelihood == pytest.approx(plain.likelihood)
     residuals = watched.heading_residuals
-    assert residuals.shape == (len(ONE.time) + len(TWO.time), 2)
-    used = np.concatenate([ONE.used, TWO.used])
+    assert residuals.shape == (len(ONE.time_s) + len(TWO.time_s), 2)
+    used = np.concatenate([ONE.is_used, TWO.is_used])
     assert (np.isfinite(residuals) == used).all()
     assert np.nanstd(residuals) < 2 * NOISE[1]
     assert (watched.lost < 3).all()
@@ -130,11 +130,11 @@ def test_residuals_and_lost_directions_are_collected_only_if_watched():
 
 def test_a_robot_that_misses_directions_is_found_to_have_lost_them():
     """Every fifth direction turns by far, and the robots go on with the one before."""
-    u = ONE.u.copy()
+    u = ONE.direction_rad.copy()
     missed = np.arange(4, len(u), 5)
     u[missed] = u[missed - 1] + np.pi / 2
-    followed = ONE.u.copy()
+    followed = ONE.direction_rad.copy()
     followed[missed] = followed[missed - 1]
-    watched = run_filter([replace(ONE, u=u)], BOTH, prior(BOTH), TAUS, watched=True)
+    watched = run_filter([replace(ONE, direction_rad=u)], BOTH, prior(BOTH), TAUS, watched=True)
     honest = run_filter([ONE], BOTH, prior(BOTH), TAUS, watched=True)
     assert (watched.lost > honest.lost + 2).all()

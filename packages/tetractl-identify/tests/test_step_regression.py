@@ -6,13 +6,13 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 import pytest
 from tetractl_identify.driven_steps import DEAD_TIME_UNIT_S
-from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
+from tetractl_identify.robot_response import LAG_MAX_S, LAG_MIN_S
 from tetractl_identify.step_regression import (
-    DISTANCE_ERROR,
+    DISTANCE_ERROR_RATIO,
     TURN_ERROR_RAD,
     ResponseParameters,
-    whitened_turns,
-    whitened_ways,
+    whiten_distances,
+    whiten_turns,
 )
 
 PARAMETERS = ResponseParameters(
@@ -61,7 +61,7 @@ def covariance(of, walk, noise, error):
     return whole
 
 
-CASES = {"turns": (whitened_turns, "turned", 1), "ways": (whitened_ways, "distance_along", 0)}
+CASES = {"turns": (whiten_turns, "turned", 1), "ways": (whiten_distances, "distance_along", 0)}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -74,7 +74,7 @@ def test_whitening_gives_the_quadratic_forms_of_the_whole_covariance(case):
         covariance(of, p.heading_walk, p.heading_noise, TURN_ERROR_RAD)
         if own
         else covariance(
-            of, p.way_walk, p.position_noise, DISTANCE_ERROR * float(np.median(abs(measured)))
+            of, p.way_walk, p.position_noise, DISTANCE_ERROR_RATIO * float(np.median(abs(measured)))
         )
     )
     whitened = whiten(of, p)
@@ -82,15 +82,15 @@ def test_whitening_gives_the_quadratic_forms_of_the_whole_covariance(case):
     expected = both.T @ np.linalg.solve(whole, both)
     ours = np.column_stack([whitened.y, whitened.x])
     assert ours.T @ ours == pytest.approx(expected, rel=1e-9)
-    assert whitened.ln_root.sum() == pytest.approx(np.linalg.slogdet(whole)[1] / 2)
+    assert whitened.ln_root_diagonal.sum() == pytest.approx(np.linalg.slogdet(whole)[1] / 2)
     assert whitened.own_column == own
 
 
 @pytest.mark.parametrize(("way_gain", "turn_gain"), [(1.1, 0.9), (0.4, 2.5), (-0.8, -1.2)])
 def test_the_gains_are_those_by_which_the_robot_follows(way_gain, turn_gain):
     of = steps(way_gain, turn_gain)
-    of_speed = whitened_ways(of, PARAMETERS).gains()
-    of_turning = whitened_turns(of, PARAMETERS).gains()
+    of_speed = whiten_distances(of, PARAMETERS).fit_gains()
+    of_turning = whiten_turns(of, PARAMETERS).fit_gains()
     assert of_speed[0] == pytest.approx(way_gain, abs=0.05)
     assert of_turning[1] == pytest.approx(turn_gain, abs=0.05)
     assert abs(of_speed[1]) < 5  # what turning adds to a distance [mm/rad]
@@ -102,17 +102,17 @@ def test_a_length_unit_scales_out():
     p = PARAMETERS
     metres = replace(p, way_walk=p.way_walk / 1000, position_noise=p.position_noise / 1000)
     in_metres = replace(of, distance_along=of.distance_along / 1000, sent=of.sent / [1000, 1])
-    ours, theirs = whitened_ways(of, p), whitened_ways(in_metres, metres)
-    assert ours.gains()[0] == pytest.approx(theirs.gains()[0])
-    assert ours.gains()[1] == pytest.approx(1000 * theirs.gains()[1])
-    same = whitened_turns(of, p).gains()
-    assert same[1] == pytest.approx(whitened_turns(in_metres, metres).gains()[1])
+    ours, theirs = whiten_distances(of, p), whiten_distances(in_metres, metres)
+    assert ours.fit_gains()[0] == pytest.approx(theirs.fit_gains()[0])
+    assert ours.fit_gains()[1] == pytest.approx(1000 * theirs.fit_gains()[1])
+    same = whiten_turns(of, p).fit_gains()
+    assert same[1] == pytest.approx(whiten_turns(in_metres, metres).fit_gains()[1])
 
 
 def test_of_two_integrals_in_one_ratio_only_the_robots_own_counts():
     of = steps(in_one_ratio=True)
     of = replace(of, sent=np.column_stack([of.sent[:, 0], of.sent[:, 0] / 100]))
-    gains = whitened_ways(of, PARAMETERS).gains()
+    gains = whiten_distances(of, PARAMETERS).fit_gains()
     assert gains[0] == pytest.approx(1.1, abs=0.05)
     assert gains[1] == pytest.approx(0.0, abs=1e-3)
 
@@ -120,14 +120,14 @@ def test_of_two_integrals_in_one_ratio_only_the_robots_own_counts():
 def test_the_true_noise_is_likelier_than_others():
     of = steps()
     likelihoods = {
-        noise: whitened_ways(of, replace(PARAMETERS, way_walk=0.01, position_noise=noise))
+        noise: whiten_distances(of, replace(PARAMETERS, way_walk=0.01, position_noise=noise))
         for noise in (0.05, 0.4, 5.0)
     }
-    values = {noise: w.restricted_likelihood() for noise, w in likelihoods.items()}
+    values = {noise: w.compute_restricted_ln_likelihood() for noise, w in likelihoods.items()}
     assert max(values, key=values.get) == 0.4
     best = likelihoods[0.4]
-    by_step = best.likelihoods(best.gains())
-    off = best.likelihoods(best.gains() + np.array([0.05, 0.0]))
+    by_step = best.compute_ln_likelihoods(best.fit_gains())
+    off = best.compute_ln_likelihoods(best.fit_gains() + np.array([0.05, 0.0]))
     assert by_step.shape == (STEPS,)
     assert by_step.sum() > off.sum()
 
@@ -149,5 +149,5 @@ def test_lags_stay_within_those_that_are_tried():
     vector[1:3] = 99.0
     slow = PARAMETERS.scaled_by(vector)
     quick = PARAMETERS.scaled_by(-vector)
-    assert (slow.turning_lag, slow.speed_lag) == (LONGEST_LAG_S, LONGEST_LAG_S)
-    assert (quick.turning_lag, quick.speed_lag) == (SHORTEST_LAG_S, SHORTEST_LAG_S)
+    assert (slow.turning_lag, slow.speed_lag) == (LAG_MAX_S, LAG_MAX_S)
+    assert (quick.turning_lag, quick.speed_lag) == (LAG_MIN_S, LAG_MIN_S)

@@ -5,10 +5,10 @@ import math
 import pytest
 from tetractl_identify.unusual import (
     USUAL_RANGES,
+    describe_undetermined_values,
+    describe_unusual_values,
     is_determined,
     may_be_usual,
-    undetermined_values,
-    unusual_values,
 )
 
 from tetractl.tools.likelihood import SampleInterval
@@ -67,7 +67,7 @@ def test_a_value_in_the_middle_of_its_usual_range_is_not_named(name):
     low, high = USUAL_RANGES[name]
     middle = (low + high) / 2
     for reach in (0.0, (high - low) / 4, 2 * (high - low), NOT_STATED):
-        assert unusual_values([("one", {name: interval(middle, reach)})]) == ""
+        assert describe_unusual_values([("one", {name: interval(middle, reach)})]) == ""
 
 
 @pytest.mark.parametrize("name", USUAL_RANGES)
@@ -75,11 +75,11 @@ def test_a_value_in_the_middle_of_its_usual_range_is_not_named(name):
 def test_a_value_beyond_either_end_of_its_usual_range_is_named(name, reach):
     low, high = USUAL_RANGES[name]
     for value in (low - 0.01, high + 0.01):
-        said = unusual_values([("one", {name: interval(value, reach)})])
+        said = describe_unusual_values([("one", {name: interval(value, reach)})])
         assert said.startswith(f"the {name.replace('_', ' ')} of one is {value:.3g} (usual: ")
         assert f"(usual: {low:.3g} to {high:.3g}): work through the checklist" in said
     for value in (low, high):
-        assert unusual_values([("one", {name: interval(value, reach)})]) == ""
+        assert describe_unusual_values([("one", {name: interval(value, reach)})]) == ""
 
 
 @pytest.mark.parametrize(
@@ -97,25 +97,25 @@ def test_a_value_beyond_either_end_of_its_usual_range_is_named(name, reach):
     ],
 )
 def test_what_is_usual(name, inside, outside):
-    assert unusual_values([("one", {name: interval(inside, 1e-6)})]) == ""
-    assert unusual_values([("one", {name: interval(outside, 1e-6)})]) != ""
+    assert describe_unusual_values([("one", {name: interval(inside, 1e-6)})]) == ""
+    assert describe_unusual_values([("one", {name: interval(outside, 1e-6)})]) != ""
 
 
 @pytest.mark.parametrize("name", ["dead_time", "a", "heading_bias", "heading_offset"])
 def test_a_value_whose_interval_reaches_into_the_usual_range_is_not_named(name):
     low, high = USUAL_RANGES[name]
-    assert unusual_values([("one", {name: interval(low - 0.01, 0.02)})]) == ""
-    assert unusual_values([("one", {name: interval(high + 0.01, 0.02)})]) == ""
+    assert describe_unusual_values([("one", {name: interval(low - 0.01, 0.02)})]) == ""
+    assert describe_unusual_values([("one", {name: interval(high + 0.01, 0.02)})]) == ""
 
 
 @pytest.mark.parametrize("name", ["turning_gain", "speed_gain"])
 def test_a_gain_beyond_its_range_is_named_although_its_interval_reaches_into_it(name):
     """Except for a gain that the data hardly determine."""
-    assert "is 2.1 " in unusual_values([("one", {name: interval(2.1, 0.3)})])
-    assert unusual_values([("one", {name: interval(2.1, 1.5)})]) == ""
-    assert "is 0.4 " in unusual_values([("one", {name: interval(0.4, 0.2)})])
-    assert unusual_values([("one", {name: interval(0.4, 0.6)})]) == ""
-    assert "is 9 " in unusual_values([("one", {name: interval(9, 6.0)})])
+    assert "is 2.1 " in describe_unusual_values([("one", {name: interval(2.1, 0.3)})])
+    assert describe_unusual_values([("one", {name: interval(2.1, 1.5)})]) == ""
+    assert "is 0.4 " in describe_unusual_values([("one", {name: interval(0.4, 0.2)})])
+    assert describe_unusual_values([("one", {name: interval(0.4, 0.6)})]) == ""
+    assert "is 9 " in describe_unusual_values([("one", {name: interval(9, 6.0)})])
 
 
 def test_every_unusual_value_of_every_robot_is_named_in_one_sentence():
@@ -124,7 +124,7 @@ def test_every_unusual_value_of_every_robot_is_named_in_one_sentence():
         ("two", {"a": interval(3, 1), "dead_time": interval(0.9, 0.01)}),
         ("three", {"dead_time": interval(-0.5, 0.01), "a": interval(0.01, 0.001)}),
     ]
-    said = unusual_values(robots)
+    said = describe_unusual_values(robots)
     assert said.count("(usual: ") == 4
     assert said.count("checklist") == 1
     named = [part.split(" is ")[0] for part in said.split("; ")]
@@ -137,8 +137,8 @@ def test_every_unusual_value_of_every_robot_is_named_in_one_sentence():
 
 
 def test_a_value_that_a_robot_lacks_is_not_named():
-    assert unusual_values([("one", {})]) == ""
-    assert unusual_values([]) == ""
+    assert describe_unusual_values([("one", {})]) == ""
+    assert describe_unusual_values([]) == ""
 
 
 def test_undetermined_values_are_listed_by_robot():
@@ -149,10 +149,10 @@ def test_undetermined_values_are_listed_by_robot():
         ("two", {"dead_time": known, "turning_gain": known}),
         ("three", {"dead_time": known, "turning_gain": unknown}),
     ]
-    said = undetermined_values(robots, names)
+    said = describe_undetermined_values(robots, names)
     assert said.startswith(
         "the data do not determine dead time, turning gain of one; turning gain of three. Record"
     )
-    assert undetermined_values(robots[1:2], names) == ""
-    assert undetermined_values(robots, ["dead_time"]).count(" of ") == 1
-    assert undetermined_values(robots, []) == ""
+    assert describe_undetermined_values(robots[1:2], names) == ""
+    assert describe_undetermined_values(robots, ["dead_time"]).count(" of ") == 1
+    assert describe_undetermined_values(robots, []) == ""

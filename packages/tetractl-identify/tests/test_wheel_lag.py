@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tetractl_identify.tracks import Track
-from tetractl_identify.wheel_lag import lag_may_turn
+from tetractl_identify.wheel_lag import may_lag_explain_turns
 
 A_RAD_S = 4.0
 DEAD_TIME_S = 0.1
@@ -55,12 +55,12 @@ def turned(
         origin="CSV",
         unit="mm",
         names=("r1",),
-        time=times[frames],
+        time_s=times[frames],
         poses=poses,
         valid=np.ones((len(frames), 1), dtype=bool),
-        sent=SENT_S,
-        u=directions,
-        until=DRIVE_S,
+        sent_s=SENT_S,
+        direction_rad=directions,
+        stop_s=DRIVE_S,
         on_wheels=True,
     )
 
@@ -84,12 +84,12 @@ LAGGING = {
 def test_a_lag_that_may_be_there_is_seen(name):
     """Regression: a dead time of .178 (.174 to .181) for .1175 s, exit code 0."""
     track = turned(**LAGGING[name])
-    assert lag_may_turn([track], DEAD_TIME_S + 0.03)
+    assert may_lag_explain_turns([track], DEAD_TIME_S + 0.03)
 
 
 def with_gap(track):
     """The robot is not tracked for 10 s."""
-    return replace(track, valid=track.valid & (np.abs(track.time - 30) > 5)[:, None])
+    return replace(track, valid=track.valid & (np.abs(track.time_s - 30) > 5)[:, None])
 
 
 PLAIN = turned()
@@ -99,18 +99,18 @@ WITHOUT_LAG = {
     "twice the noise": turned(noise=2 * HEADING_NOISE_RAD),
     "a tenth of the commands lost": turned(lost=0.1),
     "not tracked for 10 s": with_gap(PLAIN),
-    "clocks 3 s off": replace(PLAIN, sent=PLAIN.sent - 3.0, until=PLAIN.until - 3.0),
+    "clocks 3 s off": replace(PLAIN, sent_s=PLAIN.sent_s - 3.0, stop_s=PLAIN.stop_s - 3.0),
 }
 
 
 @pytest.mark.parametrize("name", WITHOUT_LAG)
 def test_no_lag_is_seen_where_wheels_follow_at_once(name):
     dead_time_s = DEAD_TIME_S + (3.0 if "clocks" in name else 0.0)
-    assert not lag_may_turn([WITHOUT_LAG[name]], dead_time_s)
+    assert not may_lag_explain_turns([WITHOUT_LAG[name]], dead_time_s)
 
 
 def test_a_robot_that_is_hardly_seen_shows_nothing():
-    track = replace(PLAIN, valid=PLAIN.valid & (PLAIN.time < 0.55)[:, None])
-    assert lag_may_turn([track], DEAD_TIME_S)
+    track = replace(PLAIN, valid=PLAIN.valid & (PLAIN.time_s < 0.55)[:, None])
+    assert may_lag_explain_turns([track], DEAD_TIME_S)
     never = replace(PLAIN, valid=np.zeros_like(PLAIN.valid))
-    assert lag_may_turn([never], DEAD_TIME_S)
+    assert may_lag_explain_turns([never], DEAD_TIME_S)

@@ -2,7 +2,7 @@
 
 docs/how-to/identify.md describes the format: a row for each pose or command, and columns whose
 names end in their units. A file that Motive exported can take the place of the file of poses. The
-module reads the rows one by one into the `_TrialNumbers` of their trial. Then it joins them to a
+module reads the rows one by one into the `_TrialData` of their trial. Then it joins them to a
 `Track` of all robots. If something cannot be read or joined, the error names the file, the line and
 the column. Whether the commands belong to the poses is checked later, when they are fitted (see
 `explained`).
@@ -36,24 +36,25 @@ from tetractl.tools.table.quantities import (
     split_header,
 )
 from tetractl_identify.measured_poses import measured
-from tetractl_identify.motive import table_rows
+from tetractl_identify.motive import read_table_rows
 from tetractl_identify.tracks import Track
 
 POSES_MAX = 2_000_000  # largest number of poses of a trial
 ROBOTS_MAX = 1000
+"""Maximum number of robots in CSV files."""
 TRIALS_MAX = 10_000
-"""Maximum number of trials in CSV files. ROBOTS_MAX is that of robots."""
+"""Maximum number of trials in CSV files."""
 ORIGIN = "CSV"
-ONE_ROBOT = "robot"
-"""The name of the robot of a table that names none."""
+DEFAULT_NAME = "robot"
+"""Name of the robot if a table names no robot."""
 POSES = "poses"
 DIRECTIONS = "directions"
 SPEEDS = "speeds"
-WHEEL_SPEEDS = "speeds of wheels"
+WHEEL_SPEED_TABLE = "speeds of wheels"
 TABLE_COLUMNS = {
     DIRECTIONS: ("direction_rad",),
     SPEEDS: ("v_mm_s", "w_rad_s"),
-    WHEEL_SPEEDS: ("left_mm_s", "right_mm_s", "radius_mm"),
+    WHEEL_SPEED_TABLE: ("left_mm_s", "right_mm_s", "radius_mm"),
     POSES: ("x_mm", "y_mm", "heading_rad"),
 }
 """The columns of each kind of table, in addition to the time.
@@ -61,23 +62,25 @@ TABLE_COLUMNS = {
 If a table has the columns of several kinds, it is of the first of them.
 """
 UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
-"""The units in which a column may be instead of that in FORMS."""
+"""Other units that a column can have, by its unit in TABLE_COLUMNS."""
 RESTART_TOLERANCE = 0.1
-"""Maximum distance of a time that falls from the first time, if it is a new start.
+"""Maximum distance of a decreased time from the first time, for a recording that starts again.
 
 It is relative to the time that has elapsed since the first time.
 """
 COLUMNS_SHOWN = 8
 """Maximum number of columns that a message names."""
-BOTH_FILES = "name both files, such as the poses.csv and steps.csv that `tetractl export` writes"
+BOTH_FILES_HINT = (
+    "name both files, such as the poses.csv and steps.csv that `tetractl export` writes"
+)
 FORMAT = "docs/how-to/identify.md describes the format"
 """Hint that names the description of the format."""
 RECORDING_GAP_MAX_S = 86_400.0
 """Maximum time without a pose in a recording [s]: a day."""
 POSE_GAP_MAX_S = 2.0
-"""Maximum of the median time between two poses of a robot [s]."""
-LEFT_OUT_MAX = 0.01
-"""Fraction of a robot's poses that are no measurement, above which a remark reports it."""
+"""Maximum median time between two poses of a robot [s]."""
+LEFT_OUT_FRACTION_MAX = 0.01
+"""Fraction of a robot's poses left out as no measurement, above which a remark reports it."""
 
 POSE_ROW = np.dtype([("time", float), ("robot", float), ("pose", float, 3)])
 """A row of a table of poses.
@@ -99,7 +102,7 @@ Series = tuple[str, str]
 
 
 @dataclass(slots=True)
-class _TrialNumbers:
+class _TrialData:
     """The numbers of one trial that have been read from CSV files so far.
 
     They are kept as flat arrays, one number after another: for each pose a POSE_ROW, and for each
@@ -125,7 +128,7 @@ class _TrialNumbers:
         """Return the POSE_ROWs (R,)."""
         return _view_as_rows(self.poses, POSE_ROW)
 
-    def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
+    def read_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
         """Read the time in a row, and check that times are in order.
 
         Args:
@@ -137,24 +140,24 @@ class _TrialNumbers:
         Raises:
             UsageError: If the time is earlier than in the previous row.
         """
-        time = column.number(path, row)
-        first = self.first_times.setdefault(series, time)
-        newest = self.newest_times.get(series, time)
-        if time < newest and abs(time - first) <= RESTART_TOLERANCE * (newest - first):
+        time_s = column.number(path, row)
+        first_s = self.first_times.setdefault(series, time_s)
+        newest_s = self.newest_times.get(series, time_s)
+        if time_s < newest_s and abs(time_s - first_s) <= RESTART_TOLERANCE * (newest_s - first_s):
             hint = "if the file holds two recordings, number them in a column named trial"
             if not series[1]:
                 hint += "; if it holds two robots, name them in a column named robot"
             raise UsageError(
                 f"{path}, line {row.line}: the time goes back to an earlier value", hint
             )
-        if time < newest:
+        if time_s < newest_s:
             raise create_order_error(
                 path,
                 row,
                 "; if the file holds two recordings, number them in a column named trial instead",
             )
-        self.newest_times[series] = time
-        return time
+        self.newest_times[series] = time_s
+        return time_s
 
 
 def _view_as_rows(numbers: "array[float]", row: np.dtype[np.void]) -> NDArray[np.void]:
@@ -181,7 +184,7 @@ class _TableColumns:
         column = self.by_name.get(name)
         return math.nan if column is None else column.read_optional(self.path, row)
 
-    def number_error(self, row: CsvRow, name: str, problem: str) -> UsageError:
+    def create_number_error(self, row: CsvRow, name: str, problem: str) -> UsageError:
         """Create the error for a wrong number in a table.
 
         Args:
@@ -192,79 +195,79 @@ class _TableColumns:
         return UsageError(f"{self.path}, line {row.line}: {self.by_name[name].key} {problem}")
 
 
-def _add_pose(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None:
+def _add_pose(trial: _TrialData, columns: _TableColumns, row: CsvRow) -> None:
     """Add the pose in a row to a trial. It becomes NaN if the row marks it as invalid.
 
     A number that the row lacks also becomes NaN.
     """
     trial.poses_path = columns.path
-    robot = row.cells.get("robot", "")
-    number = trial.robots.setdefault(robot, len(trial.robots))
-    valid = read_boolean(columns.path, row, "valid")
-    time = trial.take_time(columns.path, row, columns.time, ("poses", robot))
+    robot_name = row.cells.get("robot", "")
+    robot_index = trial.robots.setdefault(robot_name, len(trial.robots))
+    is_valid = read_boolean(columns.path, row, "valid")
+    time_s = trial.read_time(columns.path, row, columns.time, ("poses", robot_name))
     pose = [columns.number(row, name) for name in ("x", "y", "heading")]
-    trial.poses.extend((time, number))
-    trial.poses.extend(pose if valid else [math.nan] * len(pose))
+    trial.poses.extend((time_s, robot_index))
+    trial.poses.extend(pose if is_valid else [math.nan] * len(pose))
 
 
-def _add_direction(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None:
+def _add_direction(trial: _TrialData, columns: _TableColumns, row: CsvRow) -> None:
     """Add the direction in a row to a trial. A row without a direction adds nothing.
 
     A negative lag is a `UsageError`.
     """
     trial.commands_path = columns.path
-    direction = columns.number(row, "direction")
-    if math.isnan(direction):
+    direction_rad = columns.number(row, "direction")
+    if math.isnan(direction_rad):
         return
-    observed = columns.number(row, "observed")
-    robot = row.cells.get("robot", "")
-    time = trial.take_time(columns.path, row, columns.time, ("directions", robot))
-    numbers_of_robot = trial.directions.setdefault(robot, array("d"))
-    numbers_of_robot.extend((time, direction, observed))
-    lag = columns.by_name.get("lag")
-    if lag is not None:
-        trial.lag_s = lag.number(columns.path, row)
+    observed_s = columns.number(row, "observed")
+    robot_name = row.cells.get("robot", "")
+    time_s = trial.read_time(columns.path, row, columns.time, ("directions", robot_name))
+    robot_numbers = trial.directions.setdefault(robot_name, array("d"))
+    robot_numbers.extend((time_s, direction_rad, observed_s))
+    lag_column = columns.by_name.get("lag")
+    if lag_column is not None:
+        trial.lag_s = lag_column.number(columns.path, row)
         if trial.lag_s < 0:
-            raise columns.number_error(row, "lag", "must not be negative")
+            raise columns.create_number_error(row, "lag", "must not be negative")
 
 
-def _add_speeds(trial: _TrialNumbers, columns: _TableColumns, row: CsvRow) -> None:
+def _add_speeds(trial: _TrialData, columns: _TableColumns, row: CsvRow) -> None:
     """Add the speed and turning rate in a row.
 
     A row may state the speeds of the robot's wheels instead, from which both are computed. If a
     number is missing, nothing was sent at this step.
     """
     trial.commands_path = columns.path
-    if columns.kind == WHEEL_SPEEDS:
-        left = columns.number(row, "left")
-        right = columns.number(row, "right")
-        if math.isnan(left) or math.isnan(right):
+    if columns.kind == WHEEL_SPEED_TABLE:
+        left_speed = columns.number(row, "left")
+        right_speed = columns.number(row, "right")
+        if math.isnan(left_speed) or math.isnan(right_speed):
             return
         radius = columns.by_name["radius"].number(columns.path, row)
         if radius <= 0:
-            raise columns.number_error(row, "radius", "must be above 0")
-        speed = (left + right) / 2
-        turning_rate = (right - left) / (2 * radius)
+            raise columns.create_number_error(row, "radius", "must be above 0")
+        speed = (left_speed + right_speed) / 2
+        turning_rate = (right_speed - left_speed) / (2 * radius)
     else:
         speed = columns.number(row, "v")
         turning_rate = columns.number(row, "w")
     if math.isnan(speed) or math.isnan(turning_rate):
         return
-    robot = row.cells.get("robot", "")
-    time = trial.take_time(columns.path, row, columns.time, ("twists", robot))
-    trial.twists.setdefault(robot, array("d")).extend((time, speed, turning_rate))
+    robot_name = row.cells.get("robot", "")
+    time_s = trial.read_time(columns.path, row, columns.time, ("twists", robot_name))
+    trial.twists.setdefault(robot_name, array("d")).extend((time_s, speed, turning_rate))
 
 
 ROW_READERS = {
     DIRECTIONS: _add_direction,
     SPEEDS: _add_speeds,
-    WHEEL_SPEEDS: _add_speeds,
+    WHEEL_SPEED_TABLE: _add_speeds,
     POSES: _add_pose,
 }
 """Functions that add a row to the numbers of its trial, by the kind of table."""
 
 
-def csv_tracks(paths: list[Path]) -> list[Track]:
+def read_csv_tracks(paths: list[Path]) -> list[Track]:
     """Read the tracks in CSV files, each of which contains poses or commands.
 
     A file of poses has the columns time_s, robot, x_UNIT, y_UNIT, heading_rad and, optionally,
@@ -283,10 +286,10 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
         UsageError: If data are missing, if there are too many, or if the clocks do not overlap.
     """
     _refuse_repeated_files(paths)
-    trials: dict[Trial, _TrialNumbers] = {}
+    trials: dict[Trial, _TrialData] = {}
     unit = ""
     for path in paths:
-        rows = table_rows(path)
+        rows = read_table_rows(path)
         first_row = next(rows, None)
         if first_row is None:
             raise UsageError(f"{path}: the file has no rows below its header")
@@ -300,58 +303,56 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
             unit = columns.unit
         for row in chain([first_row], rows):
             trial = row.cells.get("log", row.cells.get("path", "")), row.cells.get("trial", "")
-            numbers = trials.setdefault(trial, _TrialNumbers())
+            numbers = trials.setdefault(trial, _TrialData())
             ROW_READERS[columns.kind](numbers, columns, row)
             if len(numbers.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
                 raise UsageError(
                     f"{path}: the file has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
-    idle = _idle_robots(list(trials.values()))
-    unseen = _unseen_robots(list(trials.values()))
+    idle = _find_idle_robots(list(trials.values()))
+    unseen = _find_unseen_robots(list(trials.values()))
     return [_join_track(numbers, unit, trial, idle, unseen) for trial, numbers in trials.items()]
 
 
-def _idle_robots(trials: list[_TrialNumbers]) -> set[str]:
+def _find_idle_robots(trials: list[_TrialData]) -> set[str]:
     """Return the robots to which no trial sends a speed.
 
     Raises:
         UsageError: If there is no other robot, or if it is unknown which robot receives a speed.
     """
-    paths = next((numbers for numbers in trials if numbers.poses_path), _TrialNumbers())
-    in_poses = {robot for numbers in trials for robot in numbers.robots}
-    sent_to = {robot for numbers in trials for robot in numbers.twists}
-    if "" in sent_to or not sent_to or not in_poses:
+    trial_with_poses = next((numbers for numbers in trials if numbers.poses_path), _TrialData())
+    posed = {robot for numbers in trials for robot in numbers.robots}
+    commanded = {robot for numbers in trials for robot in numbers.twists}
+    if "" in commanded or not commanded or not posed:
         return set()
-    receivers = names_of(sent_to)
-    if in_poses == {""}:
-        if len(sent_to) == 1:
+    commanded_names = join_names(commanded)
+    if posed == {""}:
+        if len(commanded) == 1:
             return set()
         raise UsageError(
-            f"{paths.poses_path}: the file has no column named robot, but the commands are for "
-            f"the robots {receivers}",
+            f"{trial_with_poses.poses_path}: the file has no column named robot, but the commands "
+            f"are for the robots {commanded_names}",
             "add a column named robot that names the robot of each pose",
         )
-    idle = in_poses - sent_to
-    if idle == in_poses:
+    idle = posed - commanded
+    if idle == posed:
         raise UsageError(
-            f"{paths.commands_path}: no command is for the robots {names_of(in_poses)}; all "
-            f"commands are for {receivers}",
+            f"{trial_with_poses.commands_path}: no command is for the robots {join_names(posed)}; "
+            f"all commands are for {commanded_names}",
             "give each robot the same name in both files",
         )
     return idle
 
 
-def _unseen_robots(trials: list[_TrialNumbers]) -> set[str]:
+def _find_unseen_robots(trials: list[_TrialData]) -> set[str]:
     """Return the robots that have no complete pose (x, y, heading) in any of the trials."""
-    with_pose = set[str]()
+    seen = set[str]()
     for numbers in trials:
         rows = numbers.pose_rows()
-        is_whole = np.isfinite(rows["pose"]).all(axis=1)
-        numbers_with_pose = set(rows["robot"][is_whole].tolist())
-        with_pose.update(
-            robot for robot, number in numbers.robots.items() if number in numbers_with_pose
-        )
-    return {robot for numbers in trials for robot in numbers.robots} - with_pose
+        is_complete = np.isfinite(rows["pose"]).all(axis=1)
+        seen_indices = set(rows["robot"][is_complete].tolist())
+        seen.update(robot for robot, index in numbers.robots.items() if index in seen_indices)
+    return {robot for numbers in trials for robot in numbers.robots} - seen
 
 
 def _refuse_repeated_files(paths: list[Path]) -> None:
@@ -360,12 +361,12 @@ def _refuse_repeated_files(paths: list[Path]) -> None:
     Raises:
         UsageError: If a file is given twice.
     """
-    files = set[Path]()
+    seen_files = set[Path]()
     for path in paths:
         file = path.resolve()
-        if file in files:
-            raise UsageError(f"{path}: this file is given twice", BOTH_FILES)
-        files.add(file)
+        if file in seen_files:
+            raise UsageError(f"{path}: this file is given twice", BOTH_FILES_HINT)
+        seen_files.add(file)
 
 
 def _find_columns(path: Path, headers: Mapping[str, str]) -> _TableColumns:
@@ -375,44 +376,47 @@ def _find_columns(path: Path, headers: Mapping[str, str]) -> _TableColumns:
         UsageError: If the file contains neither, or if a column has an unknown unit or none.
     """
     quantities_named = {split_header(header)[0] for header in headers}
-    time = find_time(path, headers)
-    present: dict[str, int] = {}
-    for form, columns in TABLE_COLUMNS.items():
+    time_column = find_time(path, headers)
+    columns_present: dict[str, int] = {}
+    for kind, columns in TABLE_COLUMNS.items():
         quantities = dict(map(split_header, columns))
-        present[form] = len(quantities_named & quantities.keys())
-        if present[form] < len(columns) or time is None:
+        columns_present[kind] = len(quantities_named & quantities.keys())
+        if columns_present[kind] < len(columns) or time_column is None:
             continue
-        if form == POSES:
-            unit, x, y = _position_columns(path, headers)
+        if kind == POSES:
+            unit, x, y = _find_position_columns(path, headers)
             heading = _get_column(path, headers, "heading", RADIANS)
-            return _TableColumns(path, form, time, {"x": x, "y": y, "heading": heading}, unit)
+            return _TableColumns(
+                path, kind, time_column, {"x": x, "y": y, "heading": heading}, unit
+            )
         by_name = {
             name: _get_column(path, headers, name, UNITS[unit]) for name, unit in quantities.items()
         }
-        if form == DIRECTIONS:
+        if kind == DIRECTIONS:
             for name in ("observed", "lag"):
                 column = find_column(path, headers, (name,), SECONDS)
                 if column is not None:
                     by_name[name] = column
-        return _TableColumns(path, form, time, by_name)
-    raise _missing_columns_error(path, headers, present)
+        return _TableColumns(path, kind, time_column, by_name)
+    raise _create_missing_columns_error(path, headers, columns_present)
 
 
-def _missing_columns_error(
-    path: Path, headers: Collection[str], present: dict[str, int]
+def _create_missing_columns_error(
+    path: Path, headers: Collection[str], columns_present: dict[str, int]
 ) -> UsageError:
     """Describe which columns a table lacks.
 
-    The table is compared with the form of which it has most columns, `present`. If a column has a
-    known quantity in an unknown unit, such as v_km_h, the message names it.
+    The table is compared with the kind of table of which it has most columns. `columns_present` is
+    the number of its columns by kind of table. If a column has a known quantity in an unknown unit,
+    such as v_km_h, the message names it.
     """
     columns_found = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SHOWN])
-    likeliest = max(reversed(present), key=lambda form: present[form])
+    likeliest_kind = max(reversed(columns_present), key=lambda kind: columns_present[kind])
     quantities_present = {split_header(header)[0] for header in headers}
     missing = [] if quantities_present & set(TIME_NAMES) else ["time_s"]
     missing += [
         column
-        for column in TABLE_COLUMNS[likeliest]
+        for column in TABLE_COLUMNS[likeliest_kind]
         if split_header(column)[0] not in quantities_present
     ]
     for header in headers:
@@ -424,15 +428,15 @@ def _missing_columns_error(
                     f"{path}: the unit of column {printable(header)} is none of {units}",
                     f"convert the values, and name the column {column}",
                 )
-    if not present[likeliest]:
+    if not columns_present[likeliest_kind]:
         return UsageError(
             f"{path}: the file contains neither poses nor commands; its columns are "
             f"{columns_found}",
             FORMAT,
         )
     return UsageError(
-        f"{path}: the file contains {likeliest}, but lacks {' and '.join(missing)}; its columns "
-        f"are {columns_found}",
+        f"{path}: the file contains {likeliest_kind}, but lacks {' and '.join(missing)}; its "
+        f"columns are {columns_found}",
         FORMAT,
     )
 
@@ -450,17 +454,21 @@ def _get_column(
     return column
 
 
-def _position_columns(
+def _find_position_columns(
     path: Path, headers: Collection[str]
 ) -> tuple[str, NumberColumn, NumberColumn]:
     """Find the columns of x and y, and return their unit, x and y.
 
     Both must have the same unit, otherwise a `UsageError` is raised.
     """
-    named = {split_header(header): header for header in headers}
+    header_by_quantity = {split_header(header): header for header in headers}
     for unit in METRES:
-        if ("x", unit) in named and ("y", unit) in named:
-            return unit, NumberColumn(named["x", unit]), NumberColumn(named["y", unit])
+        if ("x", unit) in header_by_quantity and ("y", unit) in header_by_quantity:
+            return (
+                unit,
+                NumberColumn(header_by_quantity["x", unit]),
+                NumberColumn(header_by_quantity["y", unit]),
+            )
     raise UsageError(
         f"{path}: the file needs the columns x_mm and y_mm, or both in another "
         "unit, such as x_m and y_m"
@@ -468,7 +476,7 @@ def _position_columns(
 
 
 def _join_track(
-    numbers: _TrialNumbers, unit: str, name: Trial, idle: set[str], unseen: set[str]
+    numbers: _TrialData, unit: str, name: Trial, idle: set[str], unseen: set[str]
 ) -> Track:
     """Join the numbers of a trial to one track of all its robots.
 
@@ -488,35 +496,35 @@ def _join_track(
         raise UsageError(
             f"{poses_path or commands_path}: each trial needs a file of poses and a file of "
             "commands",
-            BOTH_FILES,
+            BOTH_FILES_HINT,
         )
     rows = numbers.pose_rows()
     _refuse_two_places(poses_path, rows, list(numbers.robots))
     start_s = float(rows["time"].min())
     rows["time"] -= start_s
-    robots = {robot: k for robot, k in numbers.robots.items() if robot not in idle | unseen}
-    rows = rows[np.isin(rows["robot"], list(robots.values()))]
-    if not robots:
+    index_by_robot = {robot: k for robot, k in numbers.robots.items() if robot not in idle | unseen}
+    rows = rows[np.isin(rows["robot"], list(index_by_robot.values()))]
+    if not index_by_robot:
         raise UsageError(f"{poses_path}: no robot was seen: every pose is empty")
-    names = tuple(robot or ONE_ROBOT for robot in robots)
-    time, poses = _collect_frames(poses_path, rows, len(names))
-    times_by_robot = [rows["time"][rows["robot"] == number] for number in robots.values()]
-    _refuse_long_gaps(poses_path, start_s, times_by_robot)
+    names = tuple(robot or DEFAULT_NAME for robot in index_by_robot)
+    time_s, poses = _collect_frames(poses_path, rows, len(names))
+    times_s_by_robot = [rows["time"][rows["robot"] == number] for number in index_by_robot.values()]
+    _refuse_long_gaps(poses_path, start_s, times_s_by_robot)
     if numbers.twists:
-        commands = _collect_twists(numbers, commands_path, list(robots), unit, start_s)
+        commands = _collect_twists(numbers, commands_path, list(index_by_robot), unit, start_s)
     else:
         commands = _collect_directions(numbers, commands_path, start_s)
     if not len(commands.sent_s):
         raise UsageError(f"{commands_path}: the file states no direction and no speed")
-    if commands.end_s <= 0 or commands.sent_s[0] >= time[-1]:
+    if commands.end_s <= 0 or commands.sent_s[0] >= time_s[-1]:
         raise UsageError(
             f"{commands_path}: no command acts while the robots are seen. The commands run from "
             f"{start_s + commands.sent_s[0]:.12g} to {start_s + commands.sent_s[-1]:.12g} s, but "
-            f"the poses in {poses_path} run from {start_s:.12g} to {start_s + time[-1]:.12g} s",
+            f"the poses in {poses_path} run from {start_s:.12g} to {start_s + time_s[-1]:.12g} s",
             "the times in both files must come from the same clock",
         )
     is_stated = np.asarray(np.isfinite(poses).all(axis=2))
-    is_measured = _find_measurements(time, poses, is_stated)
+    is_measured = _find_measurements(time_s, poses, is_stated)
     log, _ = name
     never_seen = (unseen - idle) & set(numbers.robots)
     if "" not in numbers.robots:
@@ -525,37 +533,37 @@ def _join_track(
     for robot, is_robot_stated, is_robot_measured in zip(
         names, is_stated.T, is_measured.T, strict=True
     ):
-        left_out = 1 - is_robot_measured.sum() / max(is_robot_stated.sum(), 1)
-        if left_out > LEFT_OUT_MAX:
+        left_out_fraction = 1 - is_robot_measured.sum() / max(is_robot_stated.sum(), 1)
+        if left_out_fraction > LEFT_OUT_FRACTION_MAX:
             remarks.append(
-                f"{poses_path}: {left_out:.1%} of the poses of {printable(robot)} were left "
-                "out, because they repeat the previous pose, or jump away and back"
+                f"{poses_path}: {left_out_fraction:.1%} of the poses of {printable(robot)} were "
+                "left out, because they repeat the previous pose, or jump away and back"
             )
     if idle & set(numbers.robots):
         remarks.append(
-            f"{commands_path}: no command is for {names_of(idle & set(numbers.robots))}; all "
-            f"commands are for {names_of(numbers.twists)}"
+            f"{commands_path}: no command is for {join_names(idle & set(numbers.robots))}; all "
+            f"commands are for {join_names(numbers.twists)}"
         )
     if never_seen:
-        remarks.append(f"{poses_path}: the file has no pose of {names_of(never_seen)}")
+        remarks.append(f"{poses_path}: the file has no pose of {join_names(never_seen)}")
     return Track(
         source=log or str(poses_path),
         origin=ORIGIN,
         unit=unit,
         names=names,
-        time=time,
+        time_s=time_s,
         poses=np.where(is_measured[..., None], poses, 0.0),
         valid=is_measured,
-        sent=commands.sent_s,
-        u=commands.u,
-        until=commands.end_s,
-        frame_age=commands.frame_age,
-        lag=numbers.lag_s,
+        sent_s=commands.sent_s,
+        direction_rad=commands.u,
+        stop_s=commands.end_s,
+        frame_age_s=commands.frame_age,
+        lag_s=numbers.lag_s,
         on_wheels=True,
-        all_commands=numbers.lag_s == 0,
+        has_all_commands=numbers.lag_s == 0,
         rates_unstated=numbers.lag_s > 0 and not log,
         twists=commands.twists,
-        two_clocks=not log,
+        has_two_clocks=not log,
         commands_source=str(commands_path),
         remarks=tuple(remarks),
     )
@@ -579,11 +587,11 @@ class _Commands:
 
         The last command counts as long as the median time between two commands.
         """
-        gaps = np.diff(self.sent_s)
-        return float(self.sent_s[-1] + (np.median(gaps) if gaps.size else 0.0))
+        gaps_s = np.diff(self.sent_s)
+        return float(self.sent_s[-1] + (np.median(gaps_s) if gaps_s.size else 0.0))
 
 
-def names_of(robots: Collection[str]) -> str:
+def join_names(robots: Collection[str]) -> str:
     """Join the names of robots for a message, sorted and separated by commas.
 
     An empty name is shown as "rows without a robot".
@@ -602,11 +610,11 @@ def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> 
     ordered = rows[np.lexsort((rows["time"], rows["robot"]))]
     earlier_rows = ordered[:-1]
     later_rows = ordered[1:]
-    at_once = (earlier_rows["time"] == later_rows["time"]) & (
+    is_same_moment = (earlier_rows["time"] == later_rows["time"]) & (
         earlier_rows["robot"] == later_rows["robot"]
     )
     differs = np.abs(earlier_rows["pose"] - later_rows["pose"])[:, :2].max(axis=1) > 0
-    conflicts = np.flatnonzero(at_once & differs)
+    conflicts = np.flatnonzero(is_same_moment & differs)
     if len(conflicts):
         conflict = later_rows[conflicts[0]]
         name = names[int(conflict["robot"])]
@@ -614,35 +622,36 @@ def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> 
         if not name:
             hint = "if the file holds several robots, name them in a column named robot"
         raise UsageError(
-            f"{path}: {printable(name or ONE_ROBOT)} has two different places at "
+            f"{path}: {printable(name or DEFAULT_NAME)} has two different places at "
             f"{conflict['time']:.15g} s",
             hint,
         )
 
 
-def _refuse_long_gaps(path: Path, start_s: float, times_by_robot: Sequence[Floats]) -> None:
+def _refuse_long_gaps(path: Path, start_s: float, times_s_by_robot: Sequence[Floats]) -> None:
     """Check that the times of each robot's poses form one recording.
 
     Args:
         path: The file of the poses.
         start_s: The time from which times count [s].
-        times_by_robot: The times of each robot's poses, in order [s].
+        times_s_by_robot: The times of each robot's poses, in order [s].
 
     Raises:
         UsageError: If there is a pause of hours or days, or if the poses are too far apart.
     """
-    gaps = [np.diff(times) for times in times_by_robot if len(times) > 1]
-    if not gaps:
+    gaps_s_by_robot = [np.diff(times) for times in times_s_by_robot if len(times) > 1]
+    if not gaps_s_by_robot:
         return
-    if max(gap.max() for gap in gaps) > RECORDING_GAP_MAX_S:
-        all_times = np.unique(np.concatenate(times_by_robot))
-        longest = int(np.diff(all_times).argmax())
-        pause = start_s + all_times[longest : longest + 2]
+    if max(gaps_s.max() for gaps_s in gaps_s_by_robot) > RECORDING_GAP_MAX_S:
+        all_times_s = np.unique(np.concatenate(times_s_by_robot))
+        longest_gap = int(np.diff(all_times_s).argmax())
+        pause_ends_s = start_s + all_times_s[longest_gap : longest_gap + 2]
         raise UsageError(
-            f"{path}: the file has no pose between {pause[0]:.12g} and {pause[1]:.12g} s",
+            f"{path}: the file has no pose between {pause_ends_s[0]:.12g} and "
+            f"{pause_ends_s[1]:.12g} s",
             "if the file holds two recordings, number them in a column named trial",
         )
-    median_gap_s = min(float(np.median(gap)) for gap in gaps)
+    median_gap_s = min(float(np.median(gaps_s)) for gaps_s in gaps_s_by_robot)
     if median_gap_s > POSE_GAP_MAX_S:
         raise UsageError(
             f"{path}: successive poses of a robot are {median_gap_s:.3g} s apart",
@@ -651,44 +660,44 @@ def _refuse_long_gaps(path: Path, start_s: float, times_by_robot: Sequence[Float
         )
 
 
-def _collect_frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Floats]:
+def _collect_frames(path: Path, rows: NDArray[np.void], n_robots: int) -> tuple[Floats, Floats]:
     """Sort POSE_ROWs (R,) by time, and return times (M,) and poses (M, N, 3).
 
     Poses that are missing are NaN, and robots come in the order of their numbers. More than
     POSES_MAX poses are a `UsageError`.
     """
-    _, robots = np.unique(rows["robot"], return_inverse=True)
-    time, frames = np.unique(rows["time"], return_inverse=True)
-    if len(time) * count > POSES_MAX:
-        amount = f"poses of {count} robots at {len(time)} times"
+    _, robot_columns = np.unique(rows["robot"], return_inverse=True)
+    time_s, frame_rows = np.unique(rows["time"], return_inverse=True)
+    if len(time_s) * n_robots > POSES_MAX:
+        amount = f"poses of {n_robots} robots at {len(time_s)} times"
         raise UsageError(
             f"{path}: the file has {amount} in one trial, but at most "
             f"{POSES_MAX} poses can be read from a trial"
         )
-    poses = np.full((len(time), count, 3), np.nan)
-    poses[frames, robots] = rows["pose"]
-    return time, poses
+    poses = np.full((len(time_s), n_robots, 3), np.nan)
+    poses[frame_rows, robot_columns] = rows["pose"]
+    return time_s, poses
 
 
-def _find_measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
+def _find_measurements(times_s: Floats, poses: Floats, is_stated: Bools) -> Bools:
     """Find which stated poses (M, N, 3) at times (M,) [s] are real measurements, shape (M, N)."""
     is_measured = np.zeros_like(is_stated)
     for robot in range(is_stated.shape[1]):
         rows = np.flatnonzero(is_stated[:, robot])
-        is_measured[rows, robot] = measured(times[rows], poses[rows, robot])
+        is_measured[rows, robot] = measured(times_s[rows], poses[rows, robot])
     return is_measured
 
 
-def _collect_directions(numbers: _TrialNumbers, path: Path, start_s: float) -> _Commands:
+def _collect_directions(numbers: _TrialData, path: Path, start_s: float) -> _Commands:
     """Return the directions in order, with times counted from `start_s`.
 
     Raises:
         UsageError: If robots receive different directions.
     """
     rows = np.zeros(0, DIRECTION_ROW)
-    for robot, numbers_of_robot in numbers.directions.items():
+    for robot, robot_numbers in numbers.directions.items():
         previous_rows = rows
-        rows = _view_as_rows(numbers_of_robot, DIRECTION_ROW)
+        rows = _view_as_rows(robot_numbers, DIRECTION_ROW)
         _refuse_two_commands(path, robot, rows["time"], rows["direction"][:, None])
         if len(previous_rows) and not np.array_equal(previous_rows["direction"], rows["direction"]):
             raise UsageError(
@@ -696,22 +705,22 @@ def _collect_directions(numbers: _TrialNumbers, path: Path, start_s: float) -> _
                 "all robots in one table must receive the same directions; if they do not, call "
                 "identify once for each robot, with its tables alone",
             )
-    ages = (rows["time"] - rows["observed"])[1:]
-    ages = ages[np.isfinite(ages)]
-    frame_age = max(0.0, float(np.median(ages))) if ages.size else None
-    return _Commands(rows["time"] - start_s, rows["direction"].copy(), frame_age=frame_age)
+    ages_s = (rows["time"] - rows["observed"])[1:]
+    ages_s = ages_s[np.isfinite(ages_s)]
+    frame_age_s = max(0.0, float(np.median(ages_s))) if ages_s.size else None
+    return _Commands(rows["time"] - start_s, rows["direction"].copy(), frame_age=frame_age_s)
 
 
 def _collect_twists(
-    numbers: _TrialNumbers, path: Path, robots: list[str], unit: str, start_s: float
+    numbers: _TrialData, path: Path, robots: list[str], unit: str, start_s: float
 ) -> _Commands:
     """Return the speeds and turning rates in order, with times counted from `start_s`.
 
     Speeds are in the unit of the poses.
     """
     rows_by_robot = {
-        robot: _view_as_rows(numbers_of_robot, TWIST_ROW)
-        for robot, numbers_of_robot in numbers.twists.items()
+        robot: _view_as_rows(robot_numbers, TWIST_ROW)
+        for robot, robot_numbers in numbers.twists.items()
     }
     for robot, rows in rows_by_robot.items():
         twists = np.column_stack([rows["speed"], rows["turning_rate"]])
@@ -719,17 +728,17 @@ def _collect_twists(
     rows_for_all = rows_by_robot.get("", np.zeros(0, TWIST_ROW))
     if robots == [""] and len(rows_by_robot) == 1:
         (rows_for_all,) = rows_by_robot.values()
-    times = np.unique(np.concatenate([rows["time"] for rows in rows_by_robot.values()]))
-    twists = np.full((len(times), len(robots), 2), np.nan)
+    times_s = np.unique(np.concatenate([rows["time"] for rows in rows_by_robot.values()]))
+    twists = np.full((len(times_s), len(robots), 2), np.nan)
     for i, robot in enumerate(robots):
         rows = rows_by_robot.get(robot, rows_for_all)
-        command_rows = np.searchsorted(times, rows["time"])
+        command_rows = np.searchsorted(times_s, rows["time"])
         twists[command_rows, i, 0] = rows["speed"] / METRES[unit]
         twists[command_rows, i, 1] = rows["turning_rate"]
-    return _Commands(times - start_s, np.full(len(times), np.nan), twists)
+    return _Commands(times_s - start_s, np.full(len(times_s), np.nan), twists)
 
 
-def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats) -> None:
+def _refuse_two_commands(path: Path, robot: str, times_s: Floats, commands: Floats) -> None:
     """Check that no robot receives two different commands (C, K) at the same time.
 
     This can happen if the times (C,) [s] are rounded.
@@ -738,11 +747,11 @@ def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats
         UsageError: If a robot receives two commands at one time.
     """
     differs = (np.diff(commands, axis=0) != 0).any(axis=1)
-    conflicts = np.flatnonzero((np.diff(times) == 0) & differs)
+    conflicts = np.flatnonzero((np.diff(times_s) == 0) & differs)
     if len(conflicts):
-        robot_name = printable(robot or ONE_ROBOT)
+        robot_name = printable(robot or DEFAULT_NAME)
         raise UsageError(
             f"{path}: {robot_name} is sent two different commands at the same time, "
-            f"{times[conflicts[0]]:.15g} s",
+            f"{times_s[conflicts[0]]:.15g} s",
             "the times of a robot's commands must increase from one to the next; are they rounded?",
         )

@@ -1,10 +1,10 @@
 """Chooses the steps of a robot that are used to fit its response to commands.
 
 A step is the motion from one pose to a later one, and lasts at least STEP_S. Two kinds of steps are
-left out. In steps without an acting command, the robot stands still. Steps that are FAR times
-further off than usual occur, for example, if a tracker confuses two bodies. The clocks of poses and
-commands may differ. `_find_delay` therefore finds the delay after which the commands explain most
-of the motion.
+left out. In steps without an acting command, the robot stands still. Steps that are OUTLIER_FACTOR
+times further off than usual occur, for example, if a tracker confuses two bodies. The clocks of
+poses and commands may differ. `_find_delay` therefore finds the delay after which the commands
+explain most of the motion.
 
 Shapes: a robot has S steps in all its tracks, of which the fit uses M. One track has C commands.
 Pairs of integrals of a motion stand in columns: first of the speed, then of the turning rate.
@@ -21,25 +21,25 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, Integers
-from tetractl_identify.fit import block_numbers
+from tetractl_identify.fit import assign_blocks
 from tetractl_identify.heading_offset import DrivenSteps
 from tetractl_identify.identify import INTERVALS_MIN
-from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, PoseSteps, robust_gains
-from tetractl_identify.tracks import Track, integrals_of_sent, rows_apart
+from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, PoseSteps, fit_robust_gains
+from tetractl_identify.tracks import Track, integrate_held_rates, select_rows_apart
 
 STEP_S = 0.1
 """Minimum duration of a step [s]."""
 DURATION_LIMIT_MIN_S = 0.55
 DURATION_RATIO_MAX = 2.2
-"""Multiple of the median time between two poses from which a step is left out.
+"""Duration from which a step is left out, relative to the median time between two poses.
 
-It must also last LONGEST_S [s] or more: then the robot was not seen.
+The step must also last DURATION_LIMIT_MIN_S [s] or more. The robot was then not seen.
 """
 OUTLIER_FACTOR = 8.0
 """Distance from the expected motion above which a step is left out [standard deviations]."""
 NEIGHBOURS_CHECKED = 5
 """Number of steps by which commands may act earlier or later than they seem to at first."""
-CLOCKS_S = np.arange(-200, 201) / 20
+DELAY_OFFSETS_S = np.arange(-200, 201) / 20
 """Delays that are tried, minus the expected one [s]."""
 PEAK_HALF_WIDTH = 5
 """Number of neighbours on either side that a delay must exceed to count as a peak."""
@@ -49,11 +49,11 @@ REVERSED_TURN_FACTOR = 0.8
 """Fraction of the motion for which a delay counts if robots turn right where they are sent left."""
 CLIPPED_QUANTILE = 0.02
 """Fraction of the rates that is clipped at either end."""
-FIRST_LAG_S = 0.1
+ASSUMED_LAG_S = 0.1
 """Lag of both motions that is assumed while steps are chosen [s]."""
 DEAD_TIME_UNIT_S = 0.05
 """Usual change of a dead time [s]."""
-INTEGRALS_KEPT = 64
+INTEGRALS_CACHED = 64
 """Number of integrals that are not computed again: most parameters do not change them."""
 PROPORTIONAL_CORRELATION = 0.999
 """Squared correlation of the two integrals above which the data cannot tell them apart.
@@ -100,26 +100,30 @@ class DrivenTrack:
             drift: How fast the clock of the commands gains on the clock of the poses [s/s].
         """
         if len(self.pose_s) < 2 or not len(self.sent_s):
-            return np.zeros((len(self.steps.turned), 2))
+            return np.zeros((len(self.steps.turn_rad), 2))
         gaps_s = np.diff(self.sent_s)
         decay = np.exp(-gaps_s / lag)
         # r at each command: r[k + 1] = decay[k] r[k] + (1 - decay[k]) u[k], a system in two bands
-        bands = np.ones((2, len(self.commands)))
-        bands[1, :-1] = -decay
-        bands[1, -1] = 0.0
+        system_bands = np.ones((2, len(self.commands)))
+        system_bands[1, :-1] = -decay
+        system_bands[1, -1] = 0.0
         first_command = self.commands[:1]
-        approached = (1 - decay)[:, None] * self.commands[:-1]
-        rates = solve_banded((1, 0), bands, np.vstack([first_command, approached]))
+        driven_terms = (1 - decay)[:, None] * self.commands[:-1]
+        rates = solve_banded((1, 0), system_bands, np.vstack([first_command, driven_terms]))
         command_integrals = np.cumsum(gaps_s[:, None] * self.commands[:-1], axis=0)
-        total = np.vstack([np.zeros((1, 2)), command_integrals])
+        integrals_at_commands = np.vstack([np.zeros((1, 2)), command_integrals])
 
         middle_s = (self.pose_s[0] + self.pose_s[-1]) / 2
         acting_s = self.pose_s - dead_time + drift * (self.pose_s - middle_s)
-        newest = np.maximum(np.searchsorted(self.sent_s, acting_s, side="right") - 1, 0)
-        command = self.commands[newest]
-        since_s = (acting_s - self.sent_s[newest])[:, None]
-        rate = command + (rates[newest] - command) * np.exp(-np.maximum(since_s, 0.0) / lag)
-        return np.diff(total[newest] + since_s * command - lag * rate, axis=0)
+        newest_command = np.maximum(np.searchsorted(self.sent_s, acting_s, side="right") - 1, 0)
+        command = self.commands[newest_command]
+        command_age_s = (acting_s - self.sent_s[newest_command])[:, None]
+        rate = command + (rates[newest_command] - command) * np.exp(
+            -np.maximum(command_age_s, 0.0) / lag
+        )
+        return np.diff(
+            integrals_at_commands[newest_command] + command_age_s * command - lag * rate, axis=0
+        )
 
     def sent(self, delay: float) -> Floats:
         """Compute the commanded distance and turn in each step, shape (S, 2).
@@ -128,9 +132,9 @@ class DrivenTrack:
         sent.
         """
         if not len(self.sent_s):
-            return np.zeros((len(self.steps.turned), 2))
-        sent_until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
-        return np.diff(sent_until, axis=0)
+            return np.zeros((len(self.steps.turn_rad), 2))
+        integrals_at_poses = integrate_held_rates(self.sent_s, self.commands, self.pose_s - delay)
+        return np.diff(integrals_at_poses, axis=0)
 
     def acts(self, dead_time: float) -> Bools:
         """Find the steps during which some command acts, shape (S,).
@@ -139,27 +143,27 @@ class DrivenTrack:
         Commands take effect `dead_time` [s] after they are sent.
         """
         if not len(self.sent_s):
-            return np.zeros(len(self.steps.turned), dtype=np.bool_)
-        times = self.pose_s - dead_time
-        return (times[:-1] >= self.sent_s[0]) & (times[1:] <= self.sent_s[-1])
+            return np.zeros(len(self.steps.turn_rad), dtype=np.bool_)
+        acting_s = self.pose_s - dead_time
+        return (acting_s[:-1] >= self.sent_s[0]) & (acting_s[1:] <= self.sent_s[-1])
 
 
-def driven_track(track: Track, robot: int) -> DrivenTrack:
+def select_driven_track(track: Track, robot: int) -> DrivenTrack:
     """Select the steps and the commands of one robot in a track.
 
     Steps lead between poses at least STEP_S apart at which the robot drives as commanded.
     Commands with a NaN are left out.
     """
-    times_s = track.exposed[:, robot]
-    frames = np.flatnonzero(track.commanded[:, robot])
-    frames = frames[rows_apart(times_s[frames], STEP_S)]
-    commanded = np.isfinite(track.twists[:, robot]).all(axis=1)
+    times_s = track.exposed_s[:, robot]
+    frame_rows = np.flatnonzero(track.follows_commands[:, robot])
+    frame_rows = frame_rows[select_rows_apart(times_s[frame_rows], STEP_S)]
+    has_command = np.isfinite(track.twists[:, robot]).all(axis=1)
     return DrivenTrack(
-        pose_s=times_s[frames],
-        steps=PoseSteps.between(times_s[frames], track.poses[frames, robot]),
-        sent_s=track.sent[commanded],
-        commands=track.twists[commanded, robot],
-        two_clocks=track.two_clocks,
+        pose_s=times_s[frame_rows],
+        steps=PoseSteps.from_poses(times_s[frame_rows], track.poses[frame_rows, robot]),
+        sent_s=track.sent_s[has_command],
+        commands=track.twists[has_command, robot],
+        two_clocks=track.has_two_clocks,
     )
 
 
@@ -212,9 +216,9 @@ class UsedSteps:
     def driven(self, integrals: Floats) -> DrivenSteps:
         """Combine the steps with the distances and turns commanded in them, shape (M, 2)."""
         return DrivenSteps(
-            moved=self.moved,
+            displacement=self.moved,
             duration_s=self.duration_s,
-            way_sent=integrals[:, 0],
+            distance_sent=integrals[:, 0],
             turn_sent=integrals[:, 1],
             block=self.block,
         )
@@ -233,20 +237,20 @@ class UsedSteps:
         Returns:
             The integrals, shape (M, 2): of the speed [length unit] and of the turning rate [rad].
         """
-        of_speed = self._with_lag(dead_time, speed_lag, drift)
-        of_turning = self._with_lag(dead_time, turning_lag, drift)
-        return np.column_stack([of_speed[:, 0], of_turning[:, 1]])
+        speed_integrals = self._with_lag(dead_time, speed_lag, drift)
+        turning_integrals = self._with_lag(dead_time, turning_lag, drift)
+        return np.column_stack([speed_integrals[:, 0], turning_integrals[:, 1]])
 
-    @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
+    @lru_cache(INTEGRALS_CACHED)  # noqa: B019 few are kept
     def _with_lag(self, dead_time: float, lag: float, drift: float) -> Floats:
         """Integrate both rates over each step with the same lag [s], shape (M, 2).
 
-        `dead_time` and `drift` have the meaning that they have in `integrals_of`.
+        `dead_time` and `drift` have the meaning that they have in `integrate_over_tracks`.
         """
-        return integrals_of(self.tracks, dead_time, lag, drift)[self.rows]
+        return integrate_over_tracks(self.tracks, dead_time, lag, drift)[self.rows]
 
 
-def integrals_of(
+def integrate_over_tracks(
     tracks: Sequence[DrivenTrack], dead_time: float, lag: float, drift: float = 0.0
 ) -> Floats:
     """Integrate the commanded speed and turning rate over all steps of some tracks, shape (S, 2).
@@ -271,70 +275,74 @@ def choose_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> Use
     Raises:
         UsageError: If it drives in too few steps.
     """
-    steps = PoseSteps.together([track.steps for track in tracks])
-    drives = steps.duration_s < _duration_limit(steps)
-    _require_enough(name, drives)
-    dead_time = _find_delay(tracks, steps, expected_s + FIRST_LAG_S) - FIRST_LAG_S
-    driven = integrals_of(tracks, dead_time, FIRST_LAG_S)
-    acts = np.concatenate([track.acts(dead_time) for track in tracks])
-    drives &= acts & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
-    _require_enough(name, drives)
-    moved_along = steps.moved.real
-    turned = steps.turned
-    far_off = _far_off(turned, driven, drives) | _far_off(moved_along, driven, drives)
-    rows = np.flatnonzero(drives & ~far_off)
-    ends_of_tracks = np.cumsum([len(track.steps.turned) for track in tracks])[:-1]
+    steps = PoseSteps.concatenate([track.steps for track in tracks])
+    is_driving = steps.duration_s < _duration_limit(steps)
+    _require_enough(name, is_driving)
+    dead_time = _find_delay(tracks, steps, expected_s + ASSUMED_LAG_S) - ASSUMED_LAG_S
+    command_integrals = integrate_over_tracks(tracks, dead_time, ASSUMED_LAG_S)
+    is_commanded = np.concatenate([track.acts(dead_time) for track in tracks])
+    is_driving &= is_commanded & (np.hypot(command_integrals[:, 0], command_integrals[:, 1]) > 1e-9)
+    _require_enough(name, is_driving)
+    distance_along = steps.displacement.real
+    turn_rad = steps.turn_rad
+    is_far_off = _far_off(turn_rad, command_integrals, is_driving) | _far_off(
+        distance_along, command_integrals, is_driving
+    )
+    rows = np.flatnonzero(is_driving & ~is_far_off)
+    track_ends = np.cumsum([len(track.steps.turn_rad) for track in tracks])[:-1]
     begin_s = np.concatenate([track.pose_s[:-1] for track in tracks])
-    longest_s = max(track.duration_s for track in tracks)
+    longest_track_s = max(track.duration_s for track in tracks)
     has_two_clocks = any(track.two_clocks for track in tracks)
     return UsedSteps(
         tracks=tracks,
         rows=rows,
-        turned=turned[rows],
-        moved=steps.moved[rows],
+        turned=turn_rad[rows],
+        moved=steps.displacement[rows],
         begin_s=begin_s[rows],
         duration_s=steps.duration_s[rows],
-        block=block_numbers(steps.duration_s)[rows],
-        neighbours=(np.diff(rows) == 1) & ~np.isin(rows[1:], ends_of_tracks),
-        left_out=int((drives & far_off).sum()),
+        block=assign_blocks(steps.duration_s)[rows],
+        neighbours=(np.diff(rows) == 1) & ~np.isin(rows[1:], track_ends),
+        left_out=int((is_driving & is_far_off).sum()),
         dead_time=dead_time,
         # the ends of the longest recording are off by the usual change of the dead time
-        drift_unit=2 * DEAD_TIME_UNIT_S / longest_s if has_two_clocks else 0.0,
-        in_one_ratio=_are_in_one_ratio(driven[rows]),
+        drift_unit=2 * DEAD_TIME_UNIT_S / longest_track_s if has_two_clocks else 0.0,
+        in_one_ratio=_are_in_one_ratio(command_integrals[rows]),
     )
 
 
-def _are_in_one_ratio(driven: Floats) -> bool:
+def _are_in_one_ratio(command_integrals: Floats) -> bool:
     """Check whether two integrals (M, 2) are nearly proportional to each other.
 
     The result is False if one of them is 0 throughout.
     """
-    lengths = np.linalg.norm(driven, axis=0)
-    product = float(driven[:, 0] @ driven[:, 1])
+    lengths = np.linalg.norm(command_integrals, axis=0)
+    product = float(command_integrals[:, 0] @ command_integrals[:, 1])
     return (
         bool(lengths.all()) and product**2 > PROPORTIONAL_CORRELATION * float(np.prod(lengths)) ** 2
     )
 
 
 def _duration_limit(steps: PoseSteps) -> float:
-    """Compute the duration above which a step is left out [s]: LONGEST times the median.
+    """Compute the duration above which a step is left out [s].
 
-    It is at least LONGEST_S, also if there are no steps.
+    It is DURATION_RATIO_MAX times the median, and at least DURATION_LIMIT_MIN_S, also if there are
+    no steps.
     """
     if not len(steps.duration_s):
         return DURATION_LIMIT_MIN_S
     return max(DURATION_LIMIT_MIN_S, DURATION_RATIO_MAX * float(np.median(steps.duration_s)))
 
 
-def _require_enough(name: str, drives: Bools) -> None:
+def _require_enough(name: str, is_driving: Bools) -> None:
     """Check that a robot drives in at least INTERVALS_MIN steps (S,).
 
     Raises:
         UsageError: If it drives in fewer.
     """
-    if drives.sum() < INTERVALS_MIN:
+    if is_driving.sum() < INTERVALS_MIN:
         raise UsageError(
-            f"robot {printable(name)} drives in only {drives.sum()} of the steps between its poses",
+            f"robot {printable(name)} drives in only {is_driving.sum()} of the steps between "
+            "its poses",
             f"at least {INTERVALS_MIN} steps are needed: give longer recordings, or remove the "
             "robot from the tables",
         )
@@ -343,21 +351,23 @@ def _require_enough(name: str, drives: Bools) -> None:
 def _find_delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
     """Find the delay after which the commands explain most of the motion [s].
 
-    If several delays explain nearly as much (AS_GOOD), the result is the one nearest to the
-    expected delay.
+    If several delays explain nearly as much (EXPLAINED_TOLERANCE), the result is the one nearest to
+    the expected delay.
     """
-    delays = expected_s + CLOCKS_S
+    delays_s = expected_s + DELAY_OFFSETS_S
     is_seen = steps.duration_s < _duration_limit(steps)
-    motion = _usual_rates(steps.at(is_seen))
-    fractions = np.zeros(len(delays))
-    for i, delay in enumerate(delays.tolist()):
-        sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
-        fractions[i] = _explained_fraction(motion, sent[is_seen])
-    is_peak = (fractions == maximum_filter1d(fractions, 2 * PEAK_HALF_WIDTH + 1)) & (
-        fractions >= fractions.max() - EXPLAINED_TOLERANCE
-    )
-    peaks = delays[is_peak]
-    return float(peaks[np.abs(peaks - expected_s).argmin()])
+    measured_rates = _usual_rates(steps.select(is_seen))
+    explained_fractions = np.zeros(len(delays_s))
+    for i, delay_s in enumerate(delays_s.tolist()):
+        commanded_rates = (
+            np.concatenate([track.sent(delay_s) for track in tracks]) / steps.duration_s[:, None]
+        )
+        explained_fractions[i] = _explained_fraction(measured_rates, commanded_rates[is_seen])
+    is_peak = (
+        explained_fractions == maximum_filter1d(explained_fractions, 2 * PEAK_HALF_WIDTH + 1)
+    ) & (explained_fractions >= explained_fractions.max() - EXPLAINED_TOLERANCE)
+    peak_delays_s = delays_s[is_peak]
+    return float(peak_delays_s[np.abs(peak_delays_s - expected_s).argmin()])
 
 
 def _usual_rates(steps: PoseSteps) -> Floats:
@@ -365,24 +375,27 @@ def _usual_rates(steps: PoseSteps) -> Floats:
 
     The values are clipped to usual values, because a tracker may confuse two bodies.
     """
-    motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
-    lower, upper = np.quantile(
-        motion, (CLIPPED_QUANTILE, 1 - CLIPPED_QUANTILE), axis=1, keepdims=True
+    rates = (
+        np.stack([steps.turn_rad, steps.displacement.real, steps.displacement.imag])
+        / steps.duration_s
     )
-    return np.clip(motion, lower, upper)
+    lower, upper = np.quantile(
+        rates, (CLIPPED_QUANTILE, 1 - CLIPPED_QUANTILE), axis=1, keepdims=True
+    )
+    return np.clip(rates, lower, upper)
 
 
-def _explained_fraction(motion: Floats, sent: Floats) -> float:
+def _explained_fraction(measured_rates: Floats, commanded_rates: Floats) -> float:
     """Compute the fraction of a motion (3, S) that the commanded rates (S, 2) explain.
 
     The motion is turning rate, speed ahead and speed aside. If the robot does not turn in the
-    commanded sense, the fraction is multiplied by REVERSED.
+    commanded sense, the fraction is multiplied by REVERSED_TURN_FACTOR.
     """
-    turn_rate, speed_ahead, speed_aside = motion
-    speed, rate = sent.T
-    turn_correlation = _correlate(rate, turn_rate)
+    turn_rate, speed_ahead, speed_aside = measured_rates
+    commanded_speed, commanded_turn_rate = commanded_rates.T
+    turn_correlation = _correlate(commanded_turn_rate, turn_rate)
     distance_correlation = math.hypot(
-        _correlate(speed, speed_ahead), _correlate(speed, speed_aside)
+        _correlate(commanded_speed, speed_ahead), _correlate(commanded_speed, speed_aside)
     )
     unexplained = (1 - turn_correlation**2) * (1 - min(distance_correlation, 1.0) ** 2)
     return (1 - unexplained) * (1.0 if turn_correlation > 0 else REVERSED_TURN_FACTOR)
@@ -396,16 +409,19 @@ def _correlate(first_series: Floats, second_series: Floats) -> float:
     return float(first_deviations @ second_deviations) / (lengths + 1e-300)
 
 
-def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
+def _far_off(measured: Floats, command_integrals: Floats, is_driving: Bools) -> Bools:
     """Find the steps (S,) that are far from the regression of all driven steps.
 
-    A step is far if it is further off than FAR, and further than commands could explain that act up
-    to NEIGHBOURS steps earlier or later. The second condition matters in a track without noise,
-    where ordinary steps differ only by the timing of commands.
+    A step is far if its residual exceeds OUTLIER_FACTOR times the usual residual, and also exceeds
+    what commands could explain that act up to NEIGHBOURS_CHECKED steps earlier or later. The second
+    condition matters in a track without noise, where ordinary steps differ only by the timing of
+    commands.
     """
-    expected = driven @ robust_gains(measured[drives], driven[drives])
+    expected = command_integrals @ fit_robust_gains(
+        measured[is_driving], command_integrals[is_driving]
+    )
     residuals = np.abs(measured - expected)
-    usual = STD_OF_MEDIAN * np.median(residuals[drives])
+    usual_residual = STD_OF_MEDIAN * np.median(residuals[is_driving])
     window = 2 * NEIGHBOURS_CHECKED + 1
-    changes = maximum_filter1d(expected, window) - minimum_filter1d(expected, window)
-    return residuals > OUTLIER_FACTOR * usual + changes + 1e-9
+    expected_changes = maximum_filter1d(expected, window) - minimum_filter1d(expected, window)
+    return residuals > OUTLIER_FACTOR * usual_residual + expected_changes + 1e-9

@@ -88,36 +88,42 @@ def explain_steps(
         windows: Index of the window that contains each step, shape (M,). The steps of a window
             follow one another without a gap.
     """
-    components = 2 if np.iscomplexobj(measured_steps) else 1
+    components_per_step = 2 if np.iscomplexobj(measured_steps) else 1
     by_scale: list[Explained] = []
-    for groups in (np.arange(len(fitted_steps)), windows):
-        _, group = np.unique(groups, return_inverse=True)
-        moved = _sum_by_group(measured_steps, group)
-        total = float(np.square(moved).sum())
-        count = components * (group.max(initial=-1) + 1)
-        noise_sum = 2 * noise**2 * count  # a step has the noise of two poses
-        unexplained = np.square(moved - _sum_by_group(fitted_steps, group)).sum()
+    for group_labels in (np.arange(len(fitted_steps)), windows):
+        _, group_index = np.unique(group_labels, return_inverse=True)
+        measured_sums = _sum_by_group(measured_steps, group_index)
+        motion_sum = float(np.square(measured_sums).sum())
+        component_count = components_per_step * (group_index.max(initial=-1) + 1)
+        noise_sum = 2 * noise**2 * component_count  # a step has the noise of two poses
+        residual_sum = np.square(measured_sums - _sum_by_group(fitted_steps, group_index)).sum()
         # a length has the noise of one component: the other one only turns it
-        unexplained_sum = max(float(unexplained) - noise_sum / components, 0.0)
-        is_significant = total > noise_sum * (1 + NOISE_STDS * math.sqrt(3 / max(count, 1)))
-        fraction = max(0.0, 1 - unexplained_sum / (total - noise_sum)) if is_significant else None
+        unexplained_sum = max(float(residual_sum) - noise_sum / components_per_step, 0.0)
+        is_significant = motion_sum > noise_sum * (
+            1 + NOISE_STDS * math.sqrt(3 / max(component_count, 1))
+        )
+        fraction = (
+            max(0.0, 1 - unexplained_sum / (motion_sum - noise_sum)) if is_significant else None
+        )
         by_scale.append(
             Explained(
-                fraction, unexplained_sum, float(np.square(_sum_by_group(asked_steps, group)).sum())
+                fraction,
+                unexplained_sum,
+                float(np.square(_sum_by_group(asked_steps, group_index)).sum()),
             )
         )
     return max(by_scale, key=lambda scale: -1.0 if scale.fraction is None else scale.fraction)
 
 
-def _sum_by_group(steps: Complex | Floats, group: Integers) -> Floats:
+def _sum_by_group(steps: Complex | Floats, group_index: Integers) -> Floats:
     """Add the steps (M,) of each group.
 
     Complex steps give lengths, which are negative if they lead backwards.
     """
-    along = np.bincount(group, np.real(steps)).astype(np.float64)
+    along = np.bincount(group_index, np.real(steps)).astype(np.float64)
     if not np.iscomplexobj(steps):
         return along
-    across = np.bincount(group, np.imag(steps)).astype(np.float64)
+    across = np.bincount(group_index, np.imag(steps)).astype(np.float64)
     return np.copysign(np.hypot(along, across), along)
 
 
@@ -128,12 +134,12 @@ def assign_windows(begin_s: Floats, end_s: Floats) -> Integers:
     """
     if not len(begin_s):
         return np.zeros(0, dtype=np.int64)
-    is_new = np.append(True, np.abs(begin_s[1:] - end_s[:-1]) > 1e-6)
-    run = np.cumsum(is_new) - 1
-    since_s = begin_s - begin_s[is_new][run]
-    window = (since_s / WINDOW_S + 1e-9).astype(np.int64)
-    changes = np.append(True, (np.diff(run) != 0) | (np.diff(window) != 0))
-    return np.cumsum(changes)
+    starts_run = np.append(True, np.abs(begin_s[1:] - end_s[:-1]) > 1e-6)
+    run_index = np.cumsum(starts_run) - 1
+    run_time_s = begin_s - begin_s[starts_run][run_index]
+    window_in_run = (run_time_s / WINDOW_S + 1e-9).astype(np.int64)
+    starts_window = np.append(True, (np.diff(run_index) != 0) | (np.diff(window_in_run) != 0))
+    return np.cumsum(starts_window)
 
 
 def refuse_contradicted(sources: Sequence[str], problems: Sequence[tuple[str, str]]) -> None:
@@ -141,7 +147,7 @@ def refuse_contradicted(sources: Sequence[str], problems: Sequence[tuple[str, st
 
     Args:
         sources: Names of the files, for the message.
-        problems: Each such robot, with a text that says how little its commands explain.
+        problems: The name of each such robot, and how little of its motion the commands explain.
 
     Raises:
         UsageError: If `problems` is not empty.
@@ -149,7 +155,7 @@ def refuse_contradicted(sources: Sequence[str], problems: Sequence[tuple[str, st
     if not problems:
         return
     robots = ", ".join(printable(name) for name, _ in problems)
-    details = "; ".join(f"{printable(name)}: {text}" for name, text in problems)
+    details = "; ".join(f"{printable(name)}: {description}" for name, description in problems)
     raise UsageError(
         f"{' and '.join(sources)}: the commands and the poses of {robots} do not belong "
         f"together, because the commands explain too little of the robots' motion ({details})",

@@ -4,8 +4,8 @@ All robots share the dead time. The fit maximises the likelihood of the controll
 (`control.estimation.filter`).
 
 A first pass of the filter goes over the longest track. It tries a grid of dead times and, for each,
-the expected turning rates a times each factor of RATES. The fit starts with the most likely values.
-Then it does at least ROUNDS rounds. Each round passes over all tracks twice:
+the expected turning rates a times each of RATE_FACTORS. The fit starts with the most likely values.
+Then it does at least ROUNDS_MIN rounds. Each round passes over all tracks twice:
 
 - with varied noise. This gives the gradient and curvature of the likelihood as a function of the
   measurement noise and the random walks, for a Newton step;
@@ -16,7 +16,7 @@ Then it does at least ROUNDS rounds. Each round passes over all tracks twice:
 The filter estimates a, speed and bias as constant states with wide priors. The likelihood is
 therefore the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the
 speed, bias, dead time, ln of the measurement noise, and the random walks. They are widened as the
-differences between blocks of BLOCK_S require (`_Fit._widen_deviations`).
+differences between blocks of BLOCK_S require (`_RobotFit._widen_deviations`).
 
 The model does not fit two kinds of robots. One kind has a speed that wanders from second to second.
 The other has heading residuals that are not white, by the test of Ljung and Box ("On a measure of
@@ -37,14 +37,14 @@ from tetractl_identify.passes import (
     PassPrior,
     PassResult,
     TrackFrames,
-    intervals_used,
-    position_noise,
+    compute_speed_wander,
+    count_driving_intervals,
+    estimate_position_noise,
     run_filter,
-    speed_wander,
 )
 
 ROUNDS_MIN = 6
-"""Number of rounds of a fit."""
+"""Minimum number of rounds of a fit."""
 ROUNDS_MAX = 20
 """Maximum number of rounds if the dead time has not settled.
 
@@ -57,8 +57,9 @@ SETTLED_S = 3e-4
 RATE_FACTORS = (1.0, 0.4, 2.5)
 """Factors on the expected a, from which the first pass starts."""
 GRID_REACH_S = 0.3
+"""Half the width of the range of dead times in the first pass [s]."""
 GRID_SPACING_S = 0.02
-"""Spacing of the first pass's dead times [s]. REACH_S is half the width of their range."""
+"""Spacing of the dead times in the first pass [s]."""
 SEARCH_FROM_S = -0.5
 """Minimum of the dead times that are searched if it is unknown [s]."""
 SEARCH_UNTIL_S = 2.0
@@ -81,18 +82,16 @@ PARABOLA_POINTS = np.arange(-2.0, 3.0)
 They are differences from the likeliest dead time so far, in its standard deviations.
 """
 STD_RATIO_MIN = 0.2
+"""Minimum ratio of the new standard deviation of the dead time to the previous deviation."""
 STD_RATIO_MAX = 5.0
-"""Maximum ratio of the new standard deviation of the dead time to the previous one.
-
-SHRINKS_TO is the minimum.
-"""
+"""Maximum ratio of the new standard deviation of the dead time to the previous deviation."""
 UNKNOWN_S = 0.3
 """Standard deviation from which a dead time counts as unknown [s]."""
 LN_NOISE_RATIO_MAX = 50.0
 """Maximum logarithm of the ratio of a noise to the usual one."""
 NOISE_PRIOR_STD = 5.0
 """Prior standard deviation of the noise's parameters."""
-GIVEN_STD = 1e-6
+FIXED_STD = 1e-6
 """Prior standard deviation of a, speed and bias that are given."""
 BLOCK_S = 20.0
 """Duration of the blocks whose differences give the intervals [s]."""
@@ -102,7 +101,7 @@ BLOCKS_MIN = 8
 If necessary, they are shorter. For 10 runs of real robots, deviations of gains from blocks of 2,
 10, 20, 30 and 60 s are in the ratio 0.7, 0.9, 1, 1.05 and 1.1.
 """
-DEAD_TIME = 7
+DEAD_TIME_INDEX = 7
 """Index of the dead time among a robot's parameters.
 
 The other seven precede it: noise, ln a, ln of the speed and bias.
@@ -110,14 +109,15 @@ The other seven precede it: noise, ln a, ln of the speed and bias.
 HALF_WIDTH_MAX = np.array([3.0, 1.0, 1.5])
 """Half widths of the intervals of ln a, ln speed and bias [rad] above which they are unlimited."""
 RESIDUAL_LAGS = 5
+"""Number of lags in the test whether residuals are white."""
 WHITENESS_SIGNIFICANCE = 0.001
-"""Significance level of the test of residuals. LAGS is the number of its lags."""
+"""Significance level of the test whether residuals are white."""
 RESIDUAL_CLIP = 4.0
 """Magnitude to which larger residuals are clipped [standard deviations]."""
 DEAD_TIME_RESOLUTION_S = 1e-3
 """Time below 0 that no recording distinguishes from 0 [s].
 
-If the interval of a dead time ends above -RESOLVED_S, its part below 0 is cut off.
+If the interval of a dead time ends above -DEAD_TIME_RESOLUTION_S, its part below 0 is cut off.
 """
 HEADING_MISFIT_MIN = 1e-3
 """Standard deviation of heading residuals below which no camera shows a misfit [rad]."""
@@ -125,12 +125,12 @@ RADIO_DELAY_ERROR_S = 7e-4
 """How far the radio's delay may be from the delay that a host assumes [s].
 
 Hosts of lagging wheels send rates for the headings after that delay, so robots turn as if a were
-larger by the fraction a DELAY_S. The bench's host assumes 7 ms instead of 7.7 ms. With this value,
-intervals of a contained the truth in 344 of 360 cases in the bench's logs (n = 120, three robots
-each; benchmarks/identify_coverage.py --bench).
+larger by the fraction a RADIO_DELAY_ERROR_S. The bench's host assumes 7 ms instead of 7.7 ms. With
+this value, intervals of a contained the truth in 344 of 360 cases in the bench's logs (n = 120,
+three robots each; benchmarks/identify_coverage.py --bench).
 """
-HEADING = "heading"
-ALONG = "along the path"
+HEADING_MISFIT = "heading"
+SPEED_MISFIT = "along the path"
 SPEED_WANDER_MAX = 0.03
 """Relative standard deviation of a robot's speed over a second above which the model does not fit.
 
@@ -194,11 +194,11 @@ def fit(
         The dead time that all robots share [s], and the values of each robot.
     """
     state = _RobotFit(frames, a, speed, dead_time)
-    for count in range(ROUNDS_MAX):
-        before_s = state.tau
+    for round_index in range(ROUNDS_MAX):
+        previous_tau_s = state.tau
         state.fit_noise()
         state.fit_motion()
-        if count + 1 >= ROUNDS_MIN and abs(state.tau - before_s) < max(
+        if round_index + 1 >= ROUNDS_MIN and abs(state.tau - previous_tau_s) < max(
             SETTLED_S, state.tau_std / 2
         ):
             break
@@ -208,8 +208,8 @@ def fit(
 def _search_dead_time(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
     """Find the most likely dead time on a grid [s].
 
-    Robots `rows` (R,) are tried with each factor of RATES. If the result is at an end of the grid,
-    nothing fits, and USUAL_S is returned.
+    Robots `rows` (R,) are tried with each of RATE_FACTORS. If the result is at an end of the grid,
+    nothing fits, and DEFAULT_DEAD_TIME_S is returned.
     """
     taus = np.arange(SEARCH_FROM_S, SEARCH_UNTIL_S, SEARCH_SPACING_S)
     result = run_filter([frames], rows, prior, taus, SEARCH_SPACING_S)
@@ -220,11 +220,11 @@ def _search_dead_time(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -
 def _likeliest_dead_time(result: PassResult) -> int:
     """Return the index of the dead time that is most likely for all robots together.
 
-    The pass must have tried each factor of RATES, and each robot takes its most likely factor.
+    The pass must have tried each of RATE_FACTORS, and each robot takes its most likely factor.
     """
-    by_rate = result.likelihood.reshape(len(result.likelihood), -1, len(RATE_FACTORS))
-    of_all_robots = by_rate.max(axis=2).sum(axis=1)
-    return int(of_all_robots.argmax())
+    likelihood_by_rate = result.likelihood.reshape(len(result.likelihood), -1, len(RATE_FACTORS))
+    joint_likelihood = likelihood_by_rate.max(axis=2).sum(axis=1)
+    return int(joint_likelihood.argmax())
 
 
 class _RobotFit:
@@ -232,9 +232,9 @@ class _RobotFit:
 
     The parameters are the dead time `tau`, the means and standard deviations (N, 3) of ln a, ln of
     the speed and heading bias, and the noise. The noise of a robot has four parameters (N, 4), in
-    units `unit` (N, 4). They are the logarithm of the position noise, the random walk of positions,
-    the logarithm of the heading noise, and the random walk of headings. Random walks can be 0, and
-    only their magnitudes matter.
+    units `_noise_unit` (N, 4). They are the logarithm of the position noise, the random walk of
+    positions, the logarithm of the heading noise, and the random walk of headings. Random walks can
+    be 0, and only their magnitudes matter.
     """
 
     def __init__(
@@ -252,7 +252,9 @@ class _RobotFit:
         )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
         # from much less than the true noise of positions, the walk of headings may end at 0
-        self.noise[:, 0] = np.log(np.maximum(position_noise(frames) / self._noise_unit[:, 0], 1.0))
+        self.noise[:, 0] = np.log(
+            np.maximum(estimate_position_noise(frames) / self._noise_unit[:, 0], 1.0)
+        )
         self.noise_std = np.ones_like(self.noise)
         no_bias = np.zeros(count)
         self.mean = np.column_stack([np.log(a), np.log(speed), no_bias])
@@ -264,27 +266,29 @@ class _RobotFit:
         """Find the most likely dead time, and the means and deviations to start from.
 
         The dead time is searched around the expected one, or everywhere if it is unknown. Each
-        robot starts with the most likely factor of RATES.
+        robot starts with the most likely of RATE_FACTORS.
         """
         count = len(self.mean)
         rows = np.repeat(np.arange(count), len(RATE_FACTORS))
         prior = self._build_prior(rows, self.noise[rows])
         prior.mean[:, 0] += np.tile(np.log(RATE_FACTORS), count)
-        longest = max(self.frames, key=lambda track: len(track.time))
+        longest_track = max(self.frames, key=lambda track: len(track.time_s))
         if dead_time is None:
-            dead_time = _search_dead_time(longest, rows, prior)
+            dead_time = _search_dead_time(longest_track, rows, prior)
         earliest_s = (
             dead_time - GRID_REACH_S if dead_time < 0 else max(0.0, dead_time - GRID_REACH_S)
         )
         taus = np.arange(earliest_s, dead_time + GRID_REACH_S, GRID_SPACING_S)
-        result = run_filter([longest], rows, prior, taus, GRID_SPACING_S)
+        result = run_filter([longest_track], rows, prior, taus, GRID_SPACING_S)
         likeliest = _likeliest_dead_time(result)
-        best_rates = result.likelihood[likeliest].reshape(count, len(RATE_FACTORS)).argmax(axis=1)
-        best_rows = np.arange(count) * len(RATE_FACTORS) + best_rates
+        likeliest_factors = (
+            result.likelihood[likeliest].reshape(count, len(RATE_FACTORS)).argmax(axis=1)
+        )
+        likeliest_rows = np.arange(count) * len(RATE_FACTORS) + likeliest_factors
         return (
             float(taus[likeliest]),
-            result.mean[likeliest, best_rows],
-            result.std[likeliest, best_rows],
+            result.mean[likeliest, likeliest_rows],
+            result.std[likeliest, likeliest_rows],
         )
 
     def fit_noise(self) -> None:
@@ -315,25 +319,27 @@ class _RobotFit:
         result = run_filter(self.frames, rows, prior, taus, watched=watched)
         likelihood = result.likelihood.sum(axis=1)
         curvature, slope, _ = np.polyfit(PARABOLA_POINTS, likelihood, 2)
-        shift = -slope / (2 * curvature) if curvature < 0 else PARABOLA_POINTS[likelihood.argmax()]
-        shift = float(np.clip(shift, 2 * PARABOLA_POINTS[0], 2 * PARABOLA_POINTS[-1]))
-        width = np.sqrt(0.5 / max(-curvature, 1e-9))
-        factor = float(np.clip(width, STD_RATIO_MIN, STD_RATIO_MAX))
-        tau_std = min(self.tau_std * factor, UNKNOWN_S)
+        shift_stds = (
+            -slope / (2 * curvature) if curvature < 0 else PARABOLA_POINTS[likelihood.argmax()]
+        )
+        shift_stds = float(np.clip(shift_stds, 2 * PARABOLA_POINTS[0], 2 * PARABOLA_POINTS[-1]))
+        width_stds = np.sqrt(0.5 / max(-curvature, 1e-9))
+        std_ratio = float(np.clip(width_stds, STD_RATIO_MIN, STD_RATIO_MAX))
+        tau_std = min(self.tau_std * std_ratio, UNKNOWN_S)
         mean_slope, mean_at_center = np.polyfit(
             PARABOLA_POINTS, result.mean.reshape(len(PARABOLA_POINTS), -1), 1
         )
-        by_dead_time = mean_slope.reshape(self.mean.shape) * tau_std / self.tau_std
-        self.mean = (mean_at_center + shift * mean_slope).reshape(self.mean.shape)
-        self.std = np.hypot(result.std[len(PARABOLA_POINTS) // 2], by_dead_time)
-        self.tau += shift * self.tau_std
+        std_from_dead_time = mean_slope.reshape(self.mean.shape) * tau_std / self.tau_std
+        self.mean = (mean_at_center + shift_stds * mean_slope).reshape(self.mean.shape)
+        self.std = np.hypot(result.std[len(PARABOLA_POINTS) // 2], std_from_dead_time)
+        self.tau += shift_stds * self.tau_std
         self.tau_std = tau_std
         return result
 
     def _build_prior(self, rows: np.ndarray, noise: Floats) -> PassPrior:
         """Create the prior of a pass for robots `rows` (R,) with parameters of the noise (R, 4).
 
-        It is WIDER times as wide as the present estimate, up to MOST_STD.
+        It is PRIOR_WIDENING times as wide as the present estimate, up to PRIOR_STD_MAX.
         """
         std = np.minimum(PRIOR_WIDENING * self.std, PRIOR_STD_MAX)[rows]
         deviations = self._to_deviations(rows, noise)
@@ -360,14 +366,18 @@ class _RobotFit:
         base, raised, lowered = self._compute_block_likelihoods()
         slopes = (raised - lowered) / 2
         curvatures = 2 * base - raised - lowered
-        slopes[..., DEAD_TIME:] = slopes[..., DEAD_TIME:].sum(axis=1, keepdims=True)
-        curvatures[..., DEAD_TIME:] = curvatures[..., DEAD_TIME:].sum(axis=1, keepdims=True)
-        spread = len(slopes) * np.var(slopes, axis=0, ddof=1)
-        expected = np.maximum(curvatures.sum(axis=0), 1.0)  # 1 without correlated parameters
-        widening = np.maximum(widening_from_blocks(curvatures) * np.sqrt(spread / expected), 1.0)
+        slopes[..., DEAD_TIME_INDEX:] = slopes[..., DEAD_TIME_INDEX:].sum(axis=1, keepdims=True)
+        curvatures[..., DEAD_TIME_INDEX:] = curvatures[..., DEAD_TIME_INDEX:].sum(
+            axis=1, keepdims=True
+        )
+        slope_variance = len(slopes) * np.var(slopes, axis=0, ddof=1)
+        curvature_sum = np.maximum(curvatures.sum(axis=0), 1.0)  # 1 without correlated parameters
+        widening = np.maximum(
+            compute_block_widening(curvatures) * np.sqrt(slope_variance / curvature_sum), 1.0
+        )
         self.noise_std = self.noise_std * widening[:, :4]
-        self.std = self.std * widening[:, 4:DEAD_TIME]
-        self.tau_std *= float(widening[0, DEAD_TIME])
+        self.std = self.std * widening[:, 4:DEAD_TIME_INDEX]
+        self.tau_std *= float(widening[0, DEAD_TIME_INDEX])
 
     def _compute_block_likelihoods(self) -> tuple[Floats, Floats, Floats]:
         """Compute the ln likelihood of each block of each robot (B, N, 8), for varied parameters.
@@ -375,28 +385,30 @@ class _RobotFit:
         The three results use the present parameters, each parameter raised by its deviation, and
         each parameter lowered by it. The parameters are the noise, the means and the dead time.
         """
-        count = len(self.mean)
-        durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in self.frames]
+        n_robots = len(self.mean)
+        durations_s = [
+            np.diff(track.time_s[:, 0], prepend=track.time_s[0, 0]) for track in self.frames
+        ]
         track_ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
-        blocks = np.split(block_numbers(np.concatenate(durations_s)), track_ends)
-        changes = np.vstack([np.eye(DEAD_TIME), -np.eye(DEAD_TIME)])
-        rows = np.repeat(np.arange(count), len(changes))
-        changes = np.tile(changes, (count, 1))
+        blocks = np.split(assign_blocks(np.concatenate(durations_s)), track_ends)
+        changes = np.vstack([np.eye(DEAD_TIME_INDEX), -np.eye(DEAD_TIME_INDEX)])
+        rows = np.repeat(np.arange(n_robots), len(changes))
+        changes = np.tile(changes, (n_robots, 1))
         noise = self.noise[rows] + self.noise_std[rows] * changes[:, :4]
         prior = self._build_prior(rows, noise)
         prior.mean[...] += self.std[rows] * changes[:, 4:]
-        prior.std[...] = GIVEN_STD
-        changed = run_filter(self.frames, rows, prior, np.array([self.tau]), blocks=blocks)
-        by_parameter = changed.block_ln_likelihoods.reshape(-1, count, 2 * DEAD_TIME)
+        prior.std[...] = FIXED_STD
+        varied = run_filter(self.frames, rows, prior, np.array([self.tau]), blocks=blocks)
+        by_parameter = varied.block_ln_likelihoods.reshape(-1, n_robots, 2 * DEAD_TIME_INDEX)
 
-        prior = self._build_prior(np.arange(count), self.noise)
-        prior.std[...] = GIVEN_STD
+        prior = self._build_prior(np.arange(n_robots), self.noise)
+        prior.std[...] = FIXED_STD
         taus = self.tau + self.tau_std * np.array([0.0, 1.0, -1.0])
-        base, later, sooner = run_filter(
-            self.frames, np.arange(count), prior, taus, blocks=blocks
+        base, raised_dead_time, lowered_dead_time = run_filter(
+            self.frames, np.arange(n_robots), prior, taus, blocks=blocks
         ).block_ln_likelihoods.transpose(1, 0, 2)[..., None]
-        raised = np.concatenate([by_parameter[..., :DEAD_TIME], later], axis=2)
-        lowered = np.concatenate([by_parameter[..., DEAD_TIME:], sooner], axis=2)
+        raised = np.concatenate([by_parameter[..., :DEAD_TIME_INDEX], raised_dead_time], axis=2)
+        lowered = np.concatenate([by_parameter[..., DEAD_TIME_INDEX:], lowered_dead_time], axis=2)
         return base, raised, lowered
 
     def result(
@@ -413,15 +425,17 @@ class _RobotFit:
         noise = self._noise_intervals()
         speeds = np.exp(self.mean[:, 1])
         wander_from_noise = 2 * np.sqrt(2) * noise[:, 0, 0] / (speeds * SPEED_BLOCK_S)
-        does_wander = speed_wander(self.frames) > np.maximum(SPEED_WANDER_MAX, wander_from_noise)
-        intervals = intervals_used(self.frames)
+        does_wander = compute_speed_wander(self.frames) > np.maximum(
+            SPEED_WANDER_MAX, wander_from_noise
+        )
+        intervals = count_driving_intervals(self.frames)
         robots: list[FittedRobot] = []
         for i, name in enumerate(names):
             a, speed, heading_bias = _to_intervals(motion[i])
             position_noise, _, heading_noise, heading_walk = _to_intervals(noise[i])
-            misfits = [ALONG] if does_wander[i] else []
+            misfits = [SPEED_MISFIT] if does_wander[i] else []
             if correlated[i] and all_commands:
-                misfits.append(HEADING)
+                misfits.append(HEADING_MISFIT)
             robots.append(
                 FittedRobot(
                     name=name,
@@ -442,7 +456,7 @@ class _RobotFit:
         """Compute the dead time and its interval [s].
 
         The interval has no upper end if the dead time counts as unknown. It is cut off at 0 if its
-        upper end is above -RESOLVED_S.
+        upper end is above -DEAD_TIME_RESOLUTION_S.
         """
         half_width = Z_95 * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
         minimum = 0.0 if self.tau + half_width >= -DEAD_TIME_RESOLUTION_S else -np.inf
@@ -456,7 +470,7 @@ class _RobotFit:
         the value.
         """
         deviations = self.std.copy()
-        if any(track.lag > 0 for track in self.frames):
+        if any(track.lag_s > 0 for track in self.frames):
             deviations[:, 0] = np.hypot(
                 deviations[:, 0], np.exp(self.mean[:, 0]) * RADIO_DELAY_ERROR_S
             )
@@ -474,8 +488,10 @@ class _RobotFit:
         lower = value - Z_95 * self.noise_std
         lower[:, 1::2] = np.maximum(lower[:, 1::2], 0.0)
         upper = value + Z_95 * self.noise_std
-        ends = [self._to_deviations(rows, parameters) for parameters in (value, lower, upper)]
-        return np.stack(ends, axis=-1)
+        value_and_ends = [
+            self._to_deviations(rows, parameters) for parameters in (value, lower, upper)
+        ]
+        return np.stack(value_and_ends, axis=-1)
 
 
 def _to_intervals(values: Floats) -> list[SampleInterval]:
@@ -486,33 +502,33 @@ def _to_intervals(values: Floats) -> list[SampleInterval]:
 def _is_correlated(residuals: Floats) -> list[bool]:
     """Check for each robot whether its heading residuals (F, N) [rad] are correlated in time.
 
-    Only deviations above RESOLVED count.
+    Residuals with a standard deviation below HEADING_MISFIT_MIN do not count.
     """
-    robots = residuals.shape[1]
-    correlated: list[bool] = []
-    for series in residuals.T:
-        is_residual = np.isfinite(series)
-        std = np.std(series[is_residual])
-        clipped = np.nan_to_num(np.clip(series, -RESIDUAL_CLIP * std, RESIDUAL_CLIP * std))
+    n_robots = residuals.shape[1]
+    is_correlated: list[bool] = []
+    for robot_residuals in residuals.T:
+        is_residual = np.isfinite(robot_residuals)
+        std = np.std(robot_residuals[is_residual])
+        clipped = np.nan_to_num(np.clip(robot_residuals, -RESIDUAL_CLIP * std, RESIDUAL_CLIP * std))
         products = [clipped[lag:] @ clipped[:-lag] for lag in range(1, RESIDUAL_LAGS + 1)]
         autocorrelations = np.array(products) / (clipped @ clipped + 1e-300)
         ljung_box = is_residual.sum() * np.square(autocorrelations).sum()
-        correlated.append(
+        is_correlated.append(
             bool(
                 std >= HEADING_MISFIT_MIN
-                and chdtrc(RESIDUAL_LAGS, ljung_box) < WHITENESS_SIGNIFICANCE / robots
+                and chdtrc(RESIDUAL_LAGS, ljung_box) < WHITENESS_SIGNIFICANCE / n_robots
             )
         )
-    return correlated
+    return is_correlated
 
 
 # ---- Blocks ----
 
 
-def block_numbers(duration_s: Floats) -> Integers:
+def assign_blocks(duration_s: Floats) -> Integers:
     """Divide a recording into blocks of equal duration, and return the block of each step.
 
-    The blocks last about BLOCK_S, but there are at least BLOCKS_LEAST.
+    The blocks last about BLOCK_S, but there are at least BLOCKS_MIN blocks.
 
     Args:
         duration_s: Duration of each step [s], shape (S,). The steps follow each other in time.
@@ -521,11 +537,11 @@ def block_numbers(duration_s: Floats) -> Integers:
         The index of the block in which each step ends, from 0, shape (S,).
     """
     elapsed_s = np.cumsum(duration_s)
-    count = max(BLOCKS_MIN, round(elapsed_s[-1] / BLOCK_S))
-    return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)
+    n_blocks = max(BLOCKS_MIN, round(elapsed_s[-1] / BLOCK_S))
+    return np.minimum(elapsed_s / elapsed_s[-1] * n_blocks, n_blocks - 1).astype(np.int64)
 
 
-def widening_from_blocks(curvatures: Floats) -> Floats:
+def compute_block_widening(curvatures: Floats) -> Floats:
     """Compute how much wider an interval from the spread of blocks is than a normal one.
 
     The input is the negative curvature h (B, ...) of the ln likelihood of each block. If a robot
@@ -534,5 +550,5 @@ def widening_from_blocks(curvatures: Floats) -> Floats:
     distribution for this number.
     """
     information = np.maximum(curvatures, 0.0)
-    blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)
-    return np.asarray(stdtrit(np.maximum(blocks - 1, 1.0), 0.975) / Z_95)
+    effective_blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)
+    return np.asarray(stdtrit(np.maximum(effective_blocks - 1, 1.0), 0.975) / Z_95)

@@ -19,15 +19,18 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.likelihood import Z_95, SampleInterval
-from tetractl_identify.fit import widening_from_blocks
-from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, robust_gains
+from tetractl_identify.fit import compute_block_widening
+from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, fit_robust_gains
 
-SLOWEST = 0.2
-"""Minimum speed in w / v, relative to the median speed: slow steps say little of the angle."""
-CLIP = 3.0
-"""Number of standard deviations beyond which an angle has less weight.
+SPEED_RATIO_MIN = 0.2
+"""Minimum speed v in w / v, relative to the median speed.
 
-It counts as much as an angle that is so far off.
+Slow steps contain little information about the angle.
+"""
+CLIP_STDS = 3.0
+"""Deviation beyond which an angle has less weight [standard deviations].
+
+A larger deviation counts as much as this deviation.
 """
 
 
@@ -36,21 +39,22 @@ class DrivenSteps:
     """The steps of a robot, with the distances and turns commanded in them.
 
     Attributes:
-        moved: Distances along and across the heading, shape (M,), as in `PoseSteps` [length unit].
+        displacement: Complex distances along and across the heading, shape (M,), as in `PoseSteps`
+            [length unit].
         duration_s: Durations, shape (M,) [s].
-        way_sent: Commanded distances, shape (M,) [length unit]. Negative if backwards.
+        distance_sent: Commanded distances, shape (M,) [length unit]. Negative if backwards.
         turn_sent: Commanded turns, shape (M,) [rad].
         block: Index of the block that contains each step, shape (M,).
     """
 
-    moved: Complex
+    displacement: Complex
     duration_s: Floats
-    way_sent: Floats
+    distance_sent: Floats
     turn_sent: Floats
     block: Integers
 
 
-def heading_offset(steps: DrivenSteps, in_one_ratio: bool) -> SampleInterval:
+def fit_heading_offset(steps: DrivenSteps, in_one_ratio: bool) -> SampleInterval:
     """Fit the angle from the heading to the motion of a robot that drives straight ahead [rad].
 
     Args:
@@ -63,23 +67,29 @@ def heading_offset(steps: DrivenSteps, in_one_ratio: bool) -> SampleInterval:
         between blocks require. If the robot does not move, or if speed and turning rate were sent
         in one ratio, the result is the mean angle with an interval from -pi to pi.
     """
-    sense = np.sign(steps.way_sent)
-    motion = sense * steps.moved
-    mean = float(np.angle(motion.sum()))
+    travel_sign = np.sign(steps.distance_sent)
+    motion = travel_sign * steps.displacement
+    mean_angle_rad = float(np.angle(motion.sum()))
     if in_one_ratio or not motion.any():
-        return SampleInterval(mean, -math.pi, math.pi)
+        return SampleInterval(mean_angle_rad, -math.pi, math.pi)
     length = np.abs(motion)
-    aside = length * np.angle(motion * np.exp(-1j * mean))
-    way = np.abs(steps.way_sent)
-    way = np.maximum(way, SLOWEST * float(np.median(way)) + 1e-12)
-    ahead = sense * length * steps.turn_sent / way
-    slip = length * way * steps.turn_sent / steps.duration_s**2
-    gain, std = _first_gain(np.column_stack([length, ahead, slip]), aside, steps.block)
-    reach = min(Z_95 * std, math.pi)
-    return SampleInterval(mean + gain, mean + gain - reach, mean + gain + reach)
+    weighted_angle = length * np.angle(motion * np.exp(-1j * mean_angle_rad))
+    sent_length = np.abs(steps.distance_sent)
+    sent_length = np.maximum(sent_length, SPEED_RATIO_MIN * float(np.median(sent_length)) + 1e-12)
+    lever_term = travel_sign * length * steps.turn_sent / sent_length
+    slip_term = length * sent_length * steps.turn_sent / steps.duration_s**2
+    offset_rad, offset_std_rad = _fit_first_gain(
+        np.column_stack([length, lever_term, slip_term]), weighted_angle, steps.block
+    )
+    half_width_rad = min(Z_95 * offset_std_rad, math.pi)
+    return SampleInterval(
+        mean_angle_rad + offset_rad,
+        mean_angle_rad + offset_rad - half_width_rad,
+        mean_angle_rad + offset_rad + half_width_rad,
+    )
 
 
-def _first_gain(causes: Floats, effect: Floats, block: Integers) -> tuple[float, float]:
+def _fit_first_gain(causes: Floats, effect: Floats, block: Integers) -> tuple[float, float]:
     """Fit an effect as a sum of causes, and return the gain of the first cause.
 
     Args:
@@ -91,24 +101,30 @@ def _first_gain(causes: Floats, effect: Floats, block: Integers) -> tuple[float,
         The gain, and its standard deviation by the jackknife over blocks. The deviation is scaled
         so that NORMAL times its value gives a 95 % interval.
     """
-    scale = np.linalg.norm(causes, axis=0) + 1e-300
-    scaled = causes / scale
-    deviations = np.abs(effect - scaled @ robust_gains(effect, scaled))
-    usual = CLIP * STD_OF_MEDIAN * float(np.median(deviations)) + 1e-300
-    weight = np.minimum(1.0, usual / np.maximum(deviations, 1e-300))
+    cause_scale = np.linalg.norm(causes, axis=0) + 1e-300
+    scaled_causes = causes / cause_scale
+    deviations = np.abs(effect - scaled_causes @ fit_robust_gains(effect, scaled_causes))
+    deviation_limit = CLIP_STDS * STD_OF_MEDIAN * float(np.median(deviations)) + 1e-300
+    weight = np.minimum(1.0, deviation_limit / np.maximum(deviations, 1e-300))
 
-    count = int(block.max()) + 1
-    squares = np.zeros((count, *scaled.shape[1:], *scaled.shape[1:]))
-    products = np.zeros((count, *scaled.shape[1:]))
-    np.add.at(squares, block, weight[:, None, None] * scaled[:, :, None] * scaled[:, None, :])
-    np.add.at(products, block, (weight * effect)[:, None] * scaled)
-    all_squares = squares.sum(axis=0)
-    all_products = products.sum(axis=0)
-    gain = float(np.linalg.lstsq(all_squares, all_products)[0][0])
-    without_one = [
-        np.linalg.lstsq(all_squares - square, all_products - product)[0][0]
-        for square, product in zip(squares, products, strict=True)
+    block_count = int(block.max()) + 1
+    normal_matrices = np.zeros((block_count, *scaled_causes.shape[1:], *scaled_causes.shape[1:]))
+    normal_vectors = np.zeros((block_count, *scaled_causes.shape[1:]))
+    np.add.at(
+        normal_matrices,
+        block,
+        weight[:, None, None] * scaled_causes[:, :, None] * scaled_causes[:, None, :],
+    )
+    np.add.at(normal_vectors, block, (weight * effect)[:, None] * scaled_causes)
+    normal_matrix = normal_matrices.sum(axis=0)
+    normal_vector = normal_vectors.sum(axis=0)
+    gain = float(np.linalg.lstsq(normal_matrix, normal_vector)[0][0])
+    leave_one_out_gains = [
+        np.linalg.lstsq(normal_matrix - block_matrix, normal_vector - block_vector)[0][0]
+        for block_matrix, block_vector in zip(normal_matrices, normal_vectors, strict=True)
     ]
-    spread = (count - 1) * float(np.var(without_one))
-    wider = float(widening_from_blocks(squares[:, :1, 0])[0])
-    return gain / float(scale[0]), wider * math.sqrt(spread) / float(scale[0])
+    jackknife_variance = (block_count - 1) * float(np.var(leave_one_out_gains))
+    widening = float(compute_block_widening(normal_matrices[:, :1, 0])[0])
+    return gain / float(cause_scale[0]), widening * math.sqrt(jackknife_variance) / float(
+        cause_scale[0]
+    )

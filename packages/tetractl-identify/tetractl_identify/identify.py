@@ -3,8 +3,8 @@
 The values can be shown in tables, or written to a section of a spec:
 
     robots = identify(tracks, expected_a)
-    robots = without_unsure_intervals(robots)
-    tables(robots), spec_section(robots, when)
+    robots = remove_unsure_intervals(robots)
+    tables(robots), create_spec_section(robots, when)
 """
 
 import math
@@ -27,18 +27,18 @@ from tetractl_identify.explained import (
     refuse_contradicted,
 )
 from tetractl_identify.fit import FittedRobot, fit
-from tetractl_identify.passes import TrackFrames, intervals_used, speeds
+from tetractl_identify.passes import TrackFrames, compute_median_speeds, count_driving_intervals
 from tetractl_identify.pose_steps import PoseSteps
-from tetractl_identify.tracks import SETTLED_S, Track, require_same, rows_apart
+from tetractl_identify.tracks import SETTLING_S, Track, require_same, select_rows_apart
 from tetractl_identify.turn_samples import GAP_MIN_S, GAP_RATIO_MAX, TurnSamples
-from tetractl_identify.unusual import unusual_values
-from tetractl_identify.wheel_lag import lag_may_turn
+from tetractl_identify.unusual import describe_unusual_values
+from tetractl_identify.wheel_lag import may_lag_explain_turns
 
 INTERVALS_MIN = 20
 """Minimum number of intervals of a robot for a fit."""
 STEP_S = 0.1
 """Minimum duration of the steps by which distances are compared [s]."""
-UNKNOWN_A = 3.0
+DEFAULT_A = 3.0
 """Expected turning rate a if the log states no value [rad/s]."""
 QUANTITIES = {
     "a": "rad/s",
@@ -49,17 +49,17 @@ QUANTITIES = {
     "heading_walk": "rad/sqrt(s)",
 }
 """The fields of a robot in a table, with their units."""
-UNIFORM_RAD = 0.2
+UNIFORM_DEVIATION_MAX_RAD = 0.2
 """Maximum deviation of directions that turn uniformly [rad].
 
 No direction is further from a straight line over time than this, nor from the previous direction.
 Steps of .4 rad suffice to distinguish a from the dead time.
 """
-TURN_LEAST = 1.0
+TOTAL_TURN_MIN_RAD = 1.0
 """Minimum angle by which directions that turn uniformly turn in total [rad]."""
-UNIFORM_RATES = 1.1
+RATE_RATIO_MAX = 1.1
 """Maximum ratio of the turning rates of two tracks that count as one rate."""
-_ABREAST = 3
+ROBOTS_PER_TABLE = 3
 """Maximum number of robots in one table."""
 DECIMALS_MAX = 6
 DECIMALS_OF_EXACT = 3
@@ -141,15 +141,15 @@ def identify(
     frames = [TrackFrames.from_track(track) for track in tracks]
 
     # each robot must drive, and for long enough
-    seen_s = sum(float(np.ptp(track.time)) for track in tracks)
-    for name, count in zip(names, intervals_used(frames), strict=True):
+    recorded_s = sum(float(np.ptp(track.time_s)) for track in tracks)
+    for name, count in zip(names, count_driving_intervals(frames), strict=True):
         if count < INTERVALS_MIN:
             raise UsageError(
                 f"robot {name} drives in only {count} intervals between frames, in a recording "
-                f"of {seen_s:.3g} s",
+                f"of {recorded_s:.3g} s",
                 f"at least {INTERVALS_MIN} intervals are needed: give more logs, or longer ones",
             )
-    speed = speeds(frames)
+    speed = compute_median_speeds(frames)
     if speed.min() < SPEED_MIN:
         standing_robot = names[int(np.argmin(speed))]
         raise UsageError(
@@ -157,48 +157,48 @@ def identify(
             "the turning rate a can be identified only if the robot drives",
         )
 
-    expected_a = np.full(len(names), UNKNOWN_A) if a is None else a
-    all_commands = all(track.all_commands for track in tracks)
+    expected_a = np.full(len(names), DEFAULT_A) if a is None else a
+    all_commands = all(track.has_all_commands for track in tracks)
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
 
     # what the user must know of the values
-    turning_parts: list[Explained] = []
-    distance_parts: list[Explained] = []
+    turning_explained: list[Explained] = []
+    distance_explained: list[Explained] = []
     problems: list[tuple[str, str]] = []
-    for number, robot in enumerate(robots):
-        turning = _turning_explained(tracks, number, robot, shared_dead_time.value)
-        distance = _distance_explained(tracks, number, robot)
-        turning_parts.append(turning)
-        distance_parts.append(distance)
-        problem = [f"{turning} of the turning"] if turning.is_contradicted(True) else []
+    for robot_index, robot in enumerate(robots):
+        turning = _turning_explained(tracks, robot_index, robot, shared_dead_time.value)
+        distance = _distance_explained(tracks, robot_index, robot)
+        turning_explained.append(turning)
+        distance_explained.append(distance)
+        contradictions = [f"{turning} of the turning"] if turning.is_contradicted(True) else []
         if distance.is_contradicted(True):
-            problem.append(f"{distance} of the distance travelled")
-        if problem:
-            problems.append((robot.name, " and ".join(problem)))
+            contradictions.append(f"{distance} of the distance travelled")
+        if contradictions:
+            problems.append((robot.name, " and ".join(contradictions)))
     sources = dict.fromkeys(source for track in tracks for source in track.sources)
     refuse_contradicted(tuple(sources), problems)
-    no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
-    ages = [track.frame_age for track in tracks if track.frame_age is not None]
+    no_lag_stated = any(track.on_wheels and track.lag_s == 0 for track in tracks)
+    frame_ages_s = [track.frame_age_s for track in tracks if track.frame_age_s is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
         sources=tuple(track.source for track in tracks),
         unit=tracks[0].unit,
-        commands=sum(len(track.u) for track in frames),
+        commands=sum(len(track.direction_rad) for track in frames),
         dead_time=shared_dead_time,
-        frame_age=float(np.median(ages)) if ages else None,
+        frame_age=float(np.median(frame_ages_s)) if frame_ages_s else None,
         robots=robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
-        may_lag=no_lag_stated and lag_may_turn(tracks, shared_dead_time.value),
-        turns_uniformly=turn_uniformly(tracks),
+        may_lag=no_lag_stated and may_lag_explain_turns(tracks, shared_dead_time.value),
+        turns_uniformly=is_turning_uniform(tracks),
         rates_unstated=any(track.rates_unstated for track in tracks),
-        turning_explained=tuple(turning_parts),
-        distance_explained=tuple(distance_parts),
+        turning_explained=tuple(turning_explained),
+        distance_explained=tuple(distance_explained),
     )
 
 
 def _turning_explained(
-    tracks: Sequence[Track], number: int, robot: FittedRobot, dead_time_s: float
+    tracks: Sequence[Track], robot_index: int, robot: FittedRobot, dead_time_s: float
 ) -> Explained:
     """Compute how much of a robot's turning its fitted values explain.
 
@@ -211,18 +211,18 @@ def _turning_explained(
     begins_s: list[Floats] = []
     ends_s: list[Floats] = []
     for track in tracks:
-        turns = TurnSamples.from_track(track, number)
-        asked_turns = turns.asked_turns(track.lag, dead_time_s) * np.exp(
+        turns = TurnSamples.from_track(track, robot_index)
+        asked_turns = turns.integrate_pull(track.lag_s, dead_time_s) * np.exp(
             1j * robot.heading_bias.value
         )
-        measured_angles.append(turns.angle)
+        measured_angles.append(turns.turn_rad)
         fitted_angles.append(robot.a.value * asked_turns.imag)
-        u = np.unwrap(turns.u)
-        sent = [
-            u[np.maximum(np.searchsorted(turns.sent_s, times - dead_time_s), 1) - 1]
+        directions_rad = np.unwrap(turns.direction_rad)
+        directions_at_ends = [
+            directions_rad[np.maximum(np.searchsorted(turns.sent_s, times - dead_time_s), 1) - 1]
             for times in (turns.begin_s, turns.end_s)
         ]
-        asked_angles.append(sent[1] - sent[0])
+        asked_angles.append(directions_at_ends[1] - directions_at_ends[0])
         begins_s.append(turns.begin_s)
         ends_s.append(turns.end_s)
     return explain_steps(
@@ -234,55 +234,62 @@ def _turning_explained(
     )
 
 
-def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot) -> Explained:
+def _distance_explained(tracks: Sequence[Track], robot_index: int, robot: FittedRobot) -> Explained:
     """Compute how much of a robot's distance travelled its fitted speed explains.
 
     Only steps count in which the robot drives as commanded. Without any, the fraction is None.
     """
-    parts: list[PoseSteps] = []
+    steps_by_track: list[PoseSteps] = []
     begin_s: list[Floats] = []
     for track in tracks:
-        times = track.exposed[:, number]
-        drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
-        rows = np.flatnonzero(drives & track.commanded[:, number])
-        rows = rows[rows_apart(times[rows], STEP_S)]
+        times = track.exposed_s[:, robot_index]
+        drives = (times >= track.sent_s[0] + SETTLING_S) & (times <= track.stop_s)
+        rows = np.flatnonzero(drives & track.follows_commands[:, robot_index])
+        rows = rows[select_rows_apart(times[rows], STEP_S)]
         if len(rows) > 1:
-            parts.append(PoseSteps.between(times[rows], track.poses[rows, number]))
+            steps_by_track.append(PoseSteps.from_poses(times[rows], track.poses[rows, robot_index]))
             begin_s.append(times[rows[:-1]])
-    if not parts:
+    if not steps_by_track:
         return Explained(None, 0.0, 0.0)
-    steps = PoseSteps.together(parts)
+    steps = PoseSteps.concatenate(steps_by_track)
     begins = np.concatenate(begin_s)
     is_seen = steps.duration_s < max(GAP_MIN_S, GAP_RATIO_MAX * float(np.median(steps.duration_s)))
-    seen = steps.at(is_seen)
+    seen = steps.select(is_seen)
     fitted = robot.speed.value * seen.duration_s
     windows = assign_windows(begins[is_seen], begins[is_seen] + seen.duration_s)
-    return explain_steps(seen.moved, fitted, fitted, robot.position_noise.value, windows)
+    return explain_steps(seen.displacement, fitted, fitted, robot.position_noise.value, windows)
 
 
-def turn_uniformly(tracks: list[Track]) -> bool:
+def is_turning_uniform(tracks: list[Track]) -> bool:
     """Check whether the directions of all tracks turn at one constant rate, to either side.
 
     Robots then follow the directions at a constant angle. The dead time, a and the heading bias all
     change this angle, so the data cannot separate them.
     """
-    rates: list[float] = []
+    rates_rad_s: list[float] = []
     for track in tracks:
-        u = np.unwrap(track.u)
-        times = track.sent - track.sent[0]
-        if len(u) < 3 or np.ptp(u) < TURN_LEAST or not times.any():
+        directions_rad = np.unwrap(track.direction_rad)
+        times_s = track.sent_s - track.sent_s[0]
+        if (
+            len(directions_rad) < 3
+            or np.ptp(directions_rad) < TOTAL_TURN_MIN_RAD
+            or not times_s.any()
+        ):
             return False
-        changes = np.abs(np.diff(u))
-        if changes.max() > UNIFORM_RAD:
+        changes_rad = np.abs(np.diff(directions_rad))
+        if changes_rad.max() > UNIFORM_DEVIATION_MAX_RAD:
             return False
-        rate, first = np.polyfit(times, u, 1)
-        if np.abs(u - first - rate * times).max() > UNIFORM_RAD:
+        rate_rad_s, intercept_rad = np.polyfit(times_s, directions_rad, 1)
+        if (
+            np.abs(directions_rad - intercept_rad - rate_rad_s * times_s).max()
+            > UNIFORM_DEVIATION_MAX_RAD
+        ):
             return False
-        rates.append(abs(rate))
-    return max(rates) < UNIFORM_RATES * min(rates)
+        rates_rad_s.append(abs(rate_rad_s))
+    return max(rates_rad_s) < RATE_RATIO_MAX * min(rates_rad_s)
 
 
-def without_unsure_intervals(result: IdentifiedRobots) -> IdentifiedRobots:
+def remove_unsure_intervals(result: IdentifiedRobots) -> IdentifiedRobots:
     """Remove the intervals that cannot be trusted, for printing and for specs.
 
     An end of an interval is removed if the interval would hold in fewer than 92 % of the logs of
@@ -305,12 +312,12 @@ def _without_ends(interval: SampleInterval) -> SampleInterval:
     return SampleInterval(interval.value, math.nan, math.nan)
 
 
-def spec_section(result: IdentifiedRobots, when: str) -> Identified:
+def create_spec_section(result: IdentifiedRobots, when: str) -> Identified:
     """Create the section `identified` of a spec. Its dead time is at least 0.
 
     `sent_s` is the date and time of the identification, as text.
     """
-    ends = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
+    value_and_ends_s = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
     robots: dict[str, IdentifiedRobot] = {}
     for robot in result.robots:
         values = {name: _spec_value(getattr(robot, name)) for name in QUANTITIES}
@@ -320,7 +327,7 @@ def spec_section(result: IdentifiedRobots, when: str) -> Identified:
         origin=result.origin,
         sources=result.sources,
         unit=result.unit,
-        dead_time=_spec_value(SampleInterval(*np.maximum(ends, 0.0).tolist())),
+        dead_time=_spec_value(SampleInterval(*np.maximum(value_and_ends_s, 0.0).tolist())),
         frame_age=result.frame_age or 0.0,
         strength=result.strength,
         robots=robots,
@@ -362,7 +369,7 @@ _WHY_NO_INTERVALS = {
 def tables(result: IdentifiedRobots) -> list[Table]:
     """Create tables of all values with 95 % intervals: a row per value, a column per robot.
 
-    Each table has at most _ABREAST robots. All tables have the same title and notes.
+    Each table has at most ROBOTS_PER_TABLE robots. All tables have the same title and notes.
     """
     logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
     title = f"{logs}, {result.commands} directions: {result.origin}; 95 % intervals"
@@ -373,7 +380,7 @@ def tables(result: IdentifiedRobots) -> list[Table]:
         dead_time,
         _fit_text(result.robots),
         _WHY_NO_INTERVALS[result.doubt],
-        unusual_values(
+        describe_unusual_values(
             [
                 ("all robots", {"dead_time": result.dead_time}),
                 *(
@@ -383,54 +390,61 @@ def tables(result: IdentifiedRobots) -> list[Table]:
             ]
         ),
     ]
-    note = "\n".join(text for text in notes if text)
+    note = "\n".join(line for line in notes if line)
     labels = [
-        *labels_of(QUANTITIES, result.unit),
+        *create_row_labels(QUANTITIES, result.unit),
         "lost",
         "turning explained",
         "distance explained",
     ]
     if result.strength is not None:
         labels.append(f"a per strength [rad/(s {result.strength_unit})]")
-    abreast: list[Table] = []
-    for start in range(0, len(result.robots), _ABREAST):
+    tables_of_robots: list[Table] = []
+    for first_robot in range(0, len(result.robots), ROBOTS_PER_TABLE):
         columns = [
-            Column(result.robots[number].name, _entries(result, number))
-            for number in range(start, min(start + _ABREAST, len(result.robots)))
+            Column(result.robots[robot_index].name, _entries(result, robot_index))
+            for robot_index in range(
+                first_robot, min(first_robot + ROBOTS_PER_TABLE, len(result.robots))
+            )
         ]
-        abreast.append(Table(title, (Column("quantity", labels), *columns), note))
-    return abreast
+        tables_of_robots.append(Table(title, (Column("quantity", labels), *columns), note))
+    return tables_of_robots
 
 
-def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
+def create_row_labels(quantities: Mapping[str, str], unit: str) -> list[str]:
     """Create the labels of a table's rows from quantities and their units.
 
     The text {unit} in a unit stands for the length unit.
     """
     labels: list[str] = []
-    for name, unit_of_value in quantities.items():
-        of_unit = f" [{unit_of_value.format(unit=unit)}]" if unit_of_value else ""
-        labels.append(f"{name.replace('_', ' ')}{of_unit}")
+    for name, value_unit in quantities.items():
+        unit_suffix = f" [{value_unit.format(unit=unit)}]" if value_unit else ""
+        labels.append(f"{name.replace('_', ' ')}{unit_suffix}")
     return labels
 
 
-def _entries(result: IdentifiedRobots, number: int) -> list[str]:
+def _entries(result: IdentifiedRobots, robot_index: int) -> list[str]:
     """Create the entries of one robot's column, in the order of the labels of `tables`.
 
     The last entry is alpha, the turning rate per unit of the field's strength.
     """
-    robot = result.robots[number]
-    texts = [cell(getattr(robot, name)) for name in QUANTITIES]
-    texts.append(str(robot.lost))
+    robot = result.robots[robot_index]
+    cells = [cell(getattr(robot, name)) for name in QUANTITIES]
+    cells.append(str(robot.lost))
     if result.turning_explained:
-        texts += [str(result.turning_explained[number]), str(result.distance_explained[number])]
+        cells += [
+            str(result.turning_explained[robot_index]),
+            str(result.distance_explained[robot_index]),
+        ]
     else:
-        texts += ["-", "-"]
+        cells += ["-", "-"]
     if result.strength is not None:
-        per = result.strength or math.nan
-        alpha = SampleInterval(robot.a.value / per, robot.a.low / per, robot.a.high / per)
-        texts.append(cell(alpha))
-    return texts
+        strength = result.strength or math.nan
+        a_per_strength = SampleInterval(
+            robot.a.value / strength, robot.a.low / strength, robot.a.high / strength
+        )
+        cells.append(cell(a_per_strength))
+    return cells
 
 
 def _fit_text(robots: Sequence[FittedRobot]) -> str:
@@ -451,9 +465,9 @@ def cell(interval: SampleInterval) -> str:
         return f"{interval.value:.2g}"
     ends = (interval.low, interval.high)
     half_width = max((abs(end - interval.value) for end in ends if math.isfinite(end)), default=0.0)
-    digits = DECIMALS_OF_EXACT
+    decimals = DECIMALS_OF_EXACT
     if half_width > 0:
         first_digit = math.floor(math.log10(half_width))
-        digits = min(max(1 - first_digit, 0), DECIMALS_MAX)
-    low, high = (f"{end:.{digits}f}" if math.isfinite(end) else "?" for end in ends)
-    return f"{interval.value:.{digits}f} ({low} to {high})"
+        decimals = min(max(1 - first_digit, 0), DECIMALS_MAX)
+    low_text, high_text = (f"{end:.{decimals}f}" if math.isfinite(end) else "?" for end in ends)
+    return f"{interval.value:.{decimals}f} ({low_text} to {high_text})"

@@ -59,9 +59,9 @@ def identify(
     ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
-        no_table = next(path for path in logs if path not in tables)
+        log_path = next(path for path in logs if path not in tables)
         raise UsageError(
-            f"{printable(str(no_table))}: the name does not end in .csv, and logs cannot be "
+            f"{printable(str(log_path))}: the name does not end in .csv, and logs cannot be "
             "combined with CSV files"
         )
     if tables:
@@ -69,27 +69,29 @@ def identify(
     return _identify_logs(find_logs(logs), wheels, out, as_json)
 
 
-def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int:
+def _identify_tables(tables: list[Path], output_path: Path | None, as_json: bool) -> int:
     """Identify robots from CSV files of directions or of speeds, and print the values.
 
     The first table decides which of the two it is. `out` is refused for speeds.
     """
-    from tetractl_identify.csv_tracks import csv_tracks
+    from tetractl_identify.csv_tracks import read_csv_tracks
     from tetractl_identify.identify import identify as identify_robots
 
-    tracks = csv_tracks(tables)
+    tracks = read_csv_tracks(tables)
     for track in tracks:
         ui.print_messages(*(f"warning: {remark}" for remark in track.remarks))
-    are_speeds = tracks[0].twists.size > 0
-    if are_speeds:
-        _refuse_file_of_response(out)
+    has_speeds = tracks[0].twists.size > 0
+    if has_speeds:
+        _refuse_file_of_response(output_path)
         _show_response(tracks, as_json)
     else:
-        _show_robots(identify_robots(tracks, a=None, dead_time=None), out, as_json)
+        _show_robots(identify_robots(tracks, a=None, dead_time=None), output_path, as_json)
     return Exit.DONE
 
 
-def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_json: bool) -> int:
+def _identify_logs(
+    paths: Sequence[Path], wheels: bool, output_path: Path | None, as_json: bool
+) -> int:
     """Identify robots from logs, print the values, and return the exit code.
 
     The spec in the first log gives the expected values. The exit code is FAILED if a log is
@@ -98,24 +100,24 @@ def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_jso
     from tetractl_identify.identify import identify as identify_robots
 
     if wheels:
-        _refuse_file_of_response(out)
-    tracks, first, damaged = _read_logs(paths, wheels)
+        _refuse_file_of_response(output_path)
+    tracks, first_log, any_damaged = _read_logs(paths, wheels)
     if wheels:
         _show_response(tracks, as_json)
     else:
-        expected_a = first.start.setup.a
-        dead_time_s = first.experiment.controller.dead_time
-        _show_robots(identify_robots(tracks, expected_a, dead_time_s), out, as_json)
-    return Exit.FAILED if damaged else Exit.DONE
+        expected_a = first_log.start.setup.a
+        dead_time_s = first_log.experiment.controller.dead_time
+        _show_robots(identify_robots(tracks, expected_a, dead_time_s), output_path, as_json)
+    return Exit.FAILED if any_damaged else Exit.DONE
 
 
-def _refuse_file_of_response(out: Path | None) -> None:
+def _refuse_file_of_response(output_path: Path | None) -> None:
     """Check that no output file is given together with --wheels.
 
     Raises:
         UsageError: If a file is given, because a spec has no place for a response to speeds.
     """
-    if out is not None:
+    if output_path is not None:
         raise UsageError(
             "--out cannot be combined with --wheels, because a spec has no field for the "
             "response of wheels",
@@ -134,27 +136,27 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
     Raises:
         UsageError: If no log has directions.
     """
-    from tetractl_identify.tracks import track_of, wheels_of
+    from tetractl_identify.tracks import extract_track, extract_wheel_track
 
-    first: TrialLog | None = None
+    first_log: TrialLog | None = None
     tracks: list[Track] = []
-    damaged = False
+    any_damaged = False
     for path in paths:
         trial = ui.open_trial(path)
         if trial.damage is not None:
-            damaged = True
+            any_damaged = True
         if not any(command.direction is not None for command in trial.commands):
             ui.print_messages(f"warning: {path}: this log has no direction that was sent")
             continue
-        tracks.append(wheels_of(trial) if wheels else track_of(trial))
-        if first is None:
-            first = trial
-    if first is None:
+        tracks.append(extract_wheel_track(trial) if wheels else extract_track(trial))
+        if first_log is None:
+            first_log = trial
+    if first_log is None:
         raise UsageError(
             "no direction was sent in any of the logs",
             "give logs of trials in which the robots were steered",
         )
-    return tracks, first, damaged
+    return tracks, first_log, any_damaged
 
 
 def _show_response(tracks: "list[Track]", as_json: bool) -> None:
@@ -163,33 +165,36 @@ def _show_response(tracks: "list[Track]", as_json: bool) -> None:
     All tracks must have the same robots, length unit and field strength, otherwise a
     `UsageError` is raised.
     """
-    from tetractl_identify.response import respond
-    from tetractl_identify.robot_response import response_table
+    from tetractl_identify.response import fit_responses
+    from tetractl_identify.robot_response import create_response_table
     from tetractl_identify.tracks import require_same
 
     require_same(tracks)
-    responses = respond(tracks)
-    commands = sum(len(track.sent) for track in tracks)
+    responses = fit_responses(tracks)
+    n_commands = sum(len(track.sent_s) for track in tracks)
     origin = ", ".join(dict.fromkeys(track.origin for track in tracks))
-    title = f"{commands} commands: {origin}; 95 % intervals"
-    ui.print_results(as_json, responses, [response_table(responses, title, tracks[0].unit)])
+    title = f"{n_commands} commands: {origin}; 95 % intervals"
+    ui.print_results(as_json, responses, [create_response_table(responses, title, tracks[0].unit)])
 
 
-def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
+def _show_robots(robots: "IdentifiedRobots", output_path: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.spec.yaml.core_yaml import format_yaml
     from tetractl_identify.identify import (
-        spec_section,
+        create_spec_section,
+        remove_unsure_intervals,
         tables,
-        without_unsure_intervals,
     )
 
-    robots = without_unsure_intervals(robots)
+    robots = remove_unsure_intervals(robots)
     ui.print_results(as_json, robots, tables(robots))
-    if out is None:
+    if output_path is None:
         return
-    when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    section = spec_section(robots, when).model_dump(mode="json", exclude_none=True)
-    write_atomically(out, format_yaml(section).encode())
+    identified_at = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    section = create_spec_section(robots, identified_at).model_dump(mode="json", exclude_none=True)
+    write_atomically(output_path, format_yaml(section).encode())
     if not as_json:
-        print(f"wrote {out}; to use it, add this line to the spec: identified: {out.name}")
+        print(
+            f"wrote {output_path}; to use it, add this line to the spec: "
+            f"identified: {output_path.name}"
+        )

@@ -16,7 +16,7 @@ from tetractl.core.poses import Bools, Floats, Integers, wrap
 
 REPEATS_MIN = 2
 """Minimum number of repeats in a row that are no measurement."""
-RELEASE_RATIO = 2.5
+RELEASE_RATIO_MIN = 2.5
 """Distance or turn between two poses above which a robot has moved while its pose repeated.
 
 It is relative to the usual distance or turn.
@@ -24,13 +24,15 @@ It is relative to the usual distance or turn.
 SPEED_RATIO_MAX = 10.0
 """Speed above which a distance between two poses is a jump, relative to the usual speed."""
 TURN_ALLOWANCE_RAD = 0.5
-TURN_RATE_MIN = 4.0
-TURN_MAX_RAD = 2.2
-"""Maximum turn that counts as a jump [rad].
+"""Turn between two poses that is never a jump, however short their time [rad].
 
-A turn between two poses is a jump above TURN [rad] plus TURN_RATE [rad/s] or three times the usual
-rate, times their time, at most TURN_MOST.
+A turn is a jump if it exceeds TURN_ALLOWANCE_RAD plus the time between the poses times the larger
+of TURN_RATE_MIN and three times the usual rate. This limit is at most TURN_MAX_RAD.
 """
+TURN_RATE_MIN = 4.0
+"""Minimum turning rate in the limit of a turn that is no jump [rad/s]."""
+TURN_MAX_RAD = 2.2
+"""Maximum turn between two poses that is no jump [rad]."""
 ANY_TURN_S = 0.5
 """Time after which a robot may have turned by any angle [s]."""
 JUMP_S = 1.0
@@ -61,7 +63,7 @@ def measured(times: Floats, poses: Floats) -> Bools:
     if not len(times):
         return np.zeros(0, dtype=np.bool_)
     without_repeats = np.flatnonzero(~_find_repeats(poses))
-    chain = _longest_chain(times[without_repeats], poses[without_repeats])
+    chain = _find_longest_chain(times[without_repeats], poses[without_repeats])
     is_measured = np.zeros(len(times), dtype=np.bool_)
     is_measured[without_repeats[chain]] = True
     return is_measured
@@ -72,22 +74,23 @@ def _find_repeats(poses: Floats) -> Bools:
 
     Repeats count until the robot is suddenly far away, or until the end.
     """
-    moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    turned = np.abs(wrap(np.diff(poses[:, 2])))
-    is_turned = turned == 0
-    is_placed = moved == 0
-    is_same = is_turned & is_placed
-    turns_far = turned > RELEASE_RATIO * _fast_step(turned)
-    moves_far = moved > RELEASE_RATIO * _fast_step(moved)
-    poses_frozen = _find_frozen(is_same, np.append(turns_far | moves_far, True))
-    # a robot that drives straight on until the end keeps its heading, one that turns its place
-    headings_frozen = _find_frozen(is_turned & ~is_same, np.append(turns_far, False))
-    places_frozen = _find_frozen(is_placed & ~is_same, np.append(moves_far, False))
-    return poses_frozen | headings_frozen | places_frozen
+    distances = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    turns_rad = np.abs(wrap(np.diff(poses[:, 2])))
+    same_heading = turns_rad == 0
+    same_position = distances == 0
+    same_pose = same_heading & same_position
+    turns_far = turns_rad > RELEASE_RATIO_MIN * _compute_fast_step(turns_rad)
+    moves_far = distances > RELEASE_RATIO_MIN * _compute_fast_step(distances)
+    poses_frozen = _find_frozen(same_pose, np.append(turns_far | moves_far, True))
+    # until the end, a robot that drives straight keeps its heading, and a robot that turns on the
+    # spot keeps its position
+    headings_frozen = _find_frozen(same_heading & ~same_pose, np.append(turns_far, False))
+    positions_frozen = _find_frozen(same_position & ~same_pose, np.append(moves_far, False))
+    return poses_frozen | headings_frozen | positions_frozen
 
 
-def _fast_step(steps: Floats) -> float:
-    """Compute the quantile FAST of the distances or turns (M - 1,) that are above 0.
+def _compute_fast_step(steps: Floats) -> float:
+    """Compute the quantile FAST_QUANTILE of the distances or turns (M - 1,) that are above 0.
 
     The result is 0 if there are none.
     """
@@ -141,11 +144,11 @@ class _JumpLimits:
         usual_s = float(np.median(np.diff(times)))
         gaps_s = np.maximum(np.diff(times), usual_s)
         speeds = np.hypot(*np.diff(poses[:, :2], axis=0).T) / gaps_s
-        rates = np.abs(wrap(np.diff(poses[:, 2]))) / gaps_s
-        # a single pose at a wrong place makes two long ways, and no three
-        driven = minimum_filter1d(speeds[speeds > 0], 3)
-        speed = np.quantile(driven, FAST_QUANTILE) if len(driven) else 0.0
-        rate = max(TURN_RATE_MIN, 3 * np.quantile(rates, USUAL_QUANTILE))
+        turn_rates = np.abs(wrap(np.diff(poses[:, 2]))) / gaps_s
+        # a single pose at a wrong place makes two long distances in a row, but not three
+        sustained_speeds = minimum_filter1d(speeds[speeds > 0], 3)
+        speed = np.quantile(sustained_speeds, FAST_QUANTILE) if len(sustained_speeds) else 0.0
+        rate = max(TURN_RATE_MIN, 3 * np.quantile(turn_rates, USUAL_QUANTILE))
         bends = np.diff(poses[:, :2], 2, axis=0) / 2
         noise = float(np.median(np.hypot(bends[:, 0], bends[:, 1]))) / MEDIAN_BEND_OF_NOISE
         return cls(times, poses, float(speed), float(rate), usual_s, noise)
@@ -156,9 +159,9 @@ class _JumpLimits:
         `from_rows` and `to_rows` are indices of poses.
         """
         gaps_s = np.maximum(self.times[to_rows] - self.times[from_rows], self.usual_s)
-        moved = self.poses[to_rows] - self.poses[from_rows]
-        distance = np.hypot(moved[:, 0], moved[:, 1])
-        turn_rad = np.abs(wrap(moved[:, 2]))
+        changes = self.poses[to_rows] - self.poses[from_rows]
+        distance = np.hypot(changes[:, 0], changes[:, 1])
+        turn_rad = np.abs(wrap(changes[:, 2]))
         turn_max = np.minimum(TURN_ALLOWANCE_RAD + self.rate * gaps_s, TURN_MAX_RAD)
         turns_away = (turn_rad > turn_max) & (gaps_s <= ANY_TURN_S)
         distance_max = (
@@ -167,37 +170,38 @@ class _JumpLimits:
         return turns_away | (distance > distance_max)
 
 
-def _longest_chain(times: Floats, poses: Floats) -> Integers:
+def _find_longest_chain(times: Floats, poses: Floats) -> Integers:
     """Find the longest chain in the poses (M, 3) at `times` (M,) [s], and return its indices (K,).
 
     A stretch is a series of poses without a jump. A chain consists of whole stretches. Its length
     is the number of its poses, minus the number of poses in JUMP_S for each jump. A chain leaves
     out at most twice this number of poses at once.
     """
-    count = len(times)
-    if count < 3:
-        return np.arange(count)
-    jumps = _JumpLimits.from_poses(times, poses)
-    after_next = jumps.are_jumps(np.arange(count - 1), np.arange(1, count))
-    jump_rows = np.flatnonzero(after_next) + 1
+    n_poses = len(times)
+    if n_poses < 3:
+        return np.arange(n_poses)
+    limits = _JumpLimits.from_poses(times, poses)
+    starts_stretch = limits.are_jumps(np.arange(n_poses - 1), np.arange(1, n_poses))
+    jump_rows = np.flatnonzero(starts_stretch) + 1
     stretch_begins = np.concatenate([[0], jump_rows])
-    stretch_ends = np.concatenate([jump_rows, [count]])
+    stretch_ends = np.concatenate([jump_rows, [n_poses]])
     step_s = float(np.median(np.diff(times)))
-    cost = max(1.0, JUMP_S / step_s)
-    length = (stretch_ends - stretch_begins).astype(np.float64)
+    jump_cost = max(1.0, JUMP_S / step_s)
+    length_by_stretch = (stretch_ends - stretch_begins).astype(np.float64)
     previous_stretch = np.full(len(stretch_begins), -1)
     for stretch in range(1, len(stretch_begins)):
-        earliest = np.searchsorted(stretch_ends, stretch_begins[stretch] - 2 * cost)
-        earlier = np.arange(earliest, stretch)
-        is_jump = jumps.are_jumps(
-            stretch_ends[earlier] - 1, np.full(len(earlier), stretch_begins[stretch])
+        earliest = np.searchsorted(stretch_ends, stretch_begins[stretch] - 2 * jump_cost)
+        earlier_stretches = np.arange(earliest, stretch)
+        is_jump = limits.are_jumps(
+            stretch_ends[earlier_stretches] - 1,
+            np.full(len(earlier_stretches), stretch_begins[stretch]),
         )
-        chains = length[earlier] - cost * is_jump
-        if chains.max() > 0:
-            previous_stretch[stretch] = earlier[chains.argmax()]
-            length[stretch] += chains.max()
+        chain_lengths = length_by_stretch[earlier_stretches] - jump_cost * is_jump
+        if chain_lengths.max() > 0:
+            previous_stretch[stretch] = earlier_stretches[chain_lengths.argmax()]
+            length_by_stretch[stretch] += chain_lengths.max()
     chain: list[Integers] = []
-    stretch = int(length.argmax())
+    stretch = int(length_by_stretch.argmax())
     while stretch >= 0:
         chain.append(np.arange(stretch_begins[stretch], stretch_ends[stretch]))
         stretch = int(previous_stretch[stretch])

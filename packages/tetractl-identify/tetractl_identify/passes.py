@@ -29,7 +29,7 @@ from tetractl.control.estimation.kernels.filter_state import (
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.model.motion.motion import PARAMETERS
-from tetractl_identify.tracks import Track, rows_apart
+from tetractl_identify.tracks import Track, select_rows_apart
 
 FRAME_GAP_MIN_S = 0.035
 """Minimum time between two frames [s]. A frame that follows sooner is left out."""
@@ -50,7 +50,7 @@ A speed that changes in the middle of a trial is beyond both. A speed that a rad
 than a third of its seconds is beyond none.
 """
 QUANTILE_STDS = 1.049
-"""Distance between the quantiles INNER of a normal distribution [standard deviations]."""
+"""Distance between the QUANTILES of a normal distribution [standard deviations]."""
 STANDING_FRACTION = 0.5
 """Fraction of its usual speed below which a robot nearly stands still."""
 SPEED_WINDOW_S = 0.2
@@ -72,85 +72,95 @@ NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
 
 @dataclass(frozen=True, slots=True)
 class TrackFrames:
-    """M frames of a track, and the C directions u [rad] that act in them.
+    """M frames of a track, and the C directions that act in them.
 
-    The directions were sent at the times `sent_s` (C,) [s]. `time` (M, N) are the times of the
-    poses [s]. `used` (M, N) says which of the poses (M, N, 3) update the filter. At the poses with
-    `restarts` (M, N), the filter starts again from the measured pose. Robots that receive nothing
-    for `watchdog` [s] stop. Their wheels follow with the time constant `lag` [s], and keep a rate
-    for `hold_moments`, which has the form of `model.motion.turn_rate.turning_with_hold` [s, s2,
-    s3].
+    Attributes:
+        time_s: Times of the poses, shape (M, N) [s].
+        poses: x, y [length unit] and heading [rad], shape (M, N, 3).
+        is_used: Whether a pose updates the filter, shape (M, N).
+        is_restart: Whether the filter starts again from a pose, shape (M, N).
+        sent_s: When each direction was sent, shape (C,) [s].
+        direction_rad: The directions, shape (C,) [rad].
+        watchdog_s: Robots that receive nothing for this time stop [s].
+        lag_s: Time constant with which the wheels follow [s].
+        hold_moments: For how long the wheels keep a rate, in the form of
+            `model.motion.turn_rate.turning_with_hold` [s, s2, s3].
     """
 
-    time: Floats
+    time_s: Floats
     poses: Floats
-    used: Bools
-    restarts: Bools
+    is_used: Bools
+    is_restart: Bools
     sent_s: Floats
-    u: Floats
-    watchdog: float
-    lag: float
+    direction_rad: Floats
+    watchdog_s: float
+    lag_s: float
     hold_moments: tuple[float, float, float]
 
     @classmethod
     def from_track(cls, track: Track) -> "TrackFrames":
-        """Select the frames at least SHORTEST_S apart, from the first direction to the stop.
+        """Select the frames at least FRAME_GAP_MIN_S apart, from the first direction to the stop.
 
         A robot's poses are used from the time at which it drives. With lagging wheels, they are
         used from its last standstill, because its turning rate cannot be seen while it starts.
-        After a gap of UNSEEN_S, the poses restart the filter.
+        After a gap of RESTART_GAP_S, the poses restart the filter.
 
         Raises:
             UsageError: If no direction was sent, or if there are very many between two frames.
         """
-        if not len(track.sent):
+        if not len(track.sent_s):
             raise UsageError(f"{track.source}: the log has no direction that was sent")
-        rows = np.flatnonzero(track.time <= track.until)
-        before_s = float(track.sent[0]) - FRAME_GAP_MIN_S
-        rows = rows[rows_apart(track.time[rows], FRAME_GAP_MIN_S, before_s)]
-        time = track.time[rows]
+        rows = np.flatnonzero(track.time_s <= track.stop_s)
+        before_s = float(track.sent_s[0]) - FRAME_GAP_MIN_S
+        rows = rows[select_rows_apart(track.time_s[rows], FRAME_GAP_MIN_S, before_s)]
+        time_s = track.time_s[rows]
         poses = np.nan_to_num(track.poses[rows])
         valid = track.valid[rows]
-        driving = _find_driving_frames(time, poses, valid, track.lag > 0)
-        used = valid & np.logical_or.accumulate(driving, axis=0)
+        is_driving = _find_driving_frames(time_s, poses, valid, track.lag_s > 0)
+        is_used = valid & np.logical_or.accumulate(is_driving, axis=0)
         # when each robot's pose was last used before each frame (M, N), -inf if never
-        latest = np.maximum.accumulate(np.where(used, time[:, None], -np.inf), axis=0)
-        last_used = np.vstack([np.full((1, used.shape[1]), -np.inf), latest])[: len(time)]
-        restarts = used & (time[:, None] - last_used > RESTART_GAP_S)
-        most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
-        if most > DIRECTIONS_MAX:
+        last_used_including_s = np.maximum.accumulate(
+            np.where(is_used, time_s[:, None], -np.inf), axis=0
+        )
+        last_used_s = np.vstack([np.full((1, is_used.shape[1]), -np.inf), last_used_including_s])[
+            : len(time_s)
+        ]
+        is_restart = is_used & (time_s[:, None] - last_used_s > RESTART_GAP_S)
+        directions_max = np.diff(np.searchsorted(track.sent_s, time_s)).max(initial=0)
+        if directions_max > DIRECTIONS_MAX:
             raise UsageError(
-                f"{most} directions were sent between two successive frames, too "
+                f"{directions_max} directions were sent between two successive frames, too "
                 "many for an identification",
                 "log more frames",
             )
         return cls(
-            time=track.exposed[rows],
+            time_s=track.exposed_s[rows],
             poses=poses,
-            used=used & ~restarts,
-            restarts=restarts,
-            sent_s=track.sent,
-            u=track.u,
-            watchdog=track.watchdog,
-            lag=track.lag,
+            is_used=is_used & ~is_restart,
+            is_restart=is_restart,
+            sent_s=track.sent_s,
+            direction_rad=track.direction_rad,
+            watchdog_s=track.watchdog_s,
+            lag_s=track.lag_s,
             hold_moments=_hold_moments(track),
         )
 
 
-def _find_driving_frames(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
+def _find_driving_frames(time: Floats, poses: Floats, valid: Bools, has_lag: bool) -> Bools:
     """Find the frames in which each robot drives, shape (M, N).
 
-    For a robot with lagging wheels, driving starts AT_REST_S earlier.
+    For a robot with lagging wheels, driving starts REST_BEFORE_DRIVING_S
+    earlier.
     """
-    moved = np.diff(poses[..., :2], axis=0)
-    pace = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(time)[:, None]
-    pace[~(valid[:-1] & valid[1:])] = np.nan
-    driving = np.zeros_like(valid)
-    driving[1:] = pace >= DRIVING_FRACTION * _median_of_columns(pace)
-    if lagging:
-        driving_from_s = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
-        driving |= time[:, None] >= driving_from_s - REST_BEFORE_DRIVING_S
-    return driving
+    displacement = np.diff(poses[..., :2], axis=0)
+    speed = np.hypot(displacement[..., 0], displacement[..., 1]) / np.diff(time)[:, None]
+    speed[~(valid[:-1] & valid[1:])] = np.nan
+    is_driving = np.zeros_like(valid)
+    is_driving[1:] = speed >= DRIVING_FRACTION * _median_of_columns(speed)
+    if has_lag:
+        driving_from_s = np.where(is_driving.any(axis=0), time[is_driving.argmax(axis=0)], np.inf)
+        is_driving |= time[:, None] >= driving_from_s - REST_BEFORE_DRIVING_S
+    return is_driving
 
 
 def _hold_moments(track: Track) -> tuple[float, float, float]:
@@ -158,9 +168,9 @@ def _hold_moments(track: Track) -> tuple[float, float, float]:
 
     The means are taken over time. The host sends the wheels a new rate with each command.
     """
-    is_before_end = track.sent <= track.until
-    gaps_s = np.diff(track.sent[is_before_end])
-    if track.lag == 0 or not gaps_s.any():
+    is_before_end = track.sent_s <= track.stop_s
+    gaps_s = np.diff(track.sent_s[is_before_end])
+    if track.lag_s == 0 or not gaps_s.any():
         return 0.0, 0.0, 0.0
     return (
         float(np.average(gaps_s, weights=gaps_s)),
@@ -169,101 +179,105 @@ def _hold_moments(track: Track) -> tuple[float, float, float]:
     )
 
 
-def intervals_used(tracks: Sequence[TrackFrames]) -> Integers:
-    """Return the number of intervals between frames in which each robot drives (N,)."""
-    return np.sum([track.used.sum(axis=0) for track in tracks], axis=0)
+def count_driving_intervals(tracks: Sequence[TrackFrames]) -> Integers:
+    """Count the intervals between frames in which each robot drives, shape (N,)."""
+    return np.sum([track.is_used.sum(axis=0) for track in tracks], axis=0)
 
 
-def speeds(tracks: Sequence[TrackFrames]) -> Floats:
+def compute_median_speeds(tracks: Sequence[TrackFrames]) -> Floats:
     """Compute the median speed of each robot between frames (N,) [length unit/s].
 
     Only intervals in which a robot drives count. The speed is infinite if a robot has none.
     """
-    paces = []
+    speed_by_track = []
     for track in tracks:
-        moved = np.diff(track.poses[..., :2], axis=0)
-        gaps_s = np.diff(track.time, axis=0)
-        measured = track.used[1:] & (track.used | track.restarts)[:-1] & (gaps_s > 0)
-        pace = np.hypot(moved[..., 0], moved[..., 1]) / np.where(gaps_s > 0, gaps_s, 1.0)
-        paces.append(np.where(measured, pace, np.nan))
-    return _median_of_columns(np.concatenate(paces))
+        displacement = np.diff(track.poses[..., :2], axis=0)
+        gaps_s = np.diff(track.time_s, axis=0)
+        is_measured = track.is_used[1:] & (track.is_used | track.is_restart)[:-1] & (gaps_s > 0)
+        speed = np.hypot(displacement[..., 0], displacement[..., 1]) / np.where(
+            gaps_s > 0, gaps_s, 1.0
+        )
+        speed_by_track.append(np.where(is_measured, speed, np.nan))
+    return _median_of_columns(np.concatenate(speed_by_track))
 
 
-def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
+def estimate_position_noise(tracks: Sequence[TrackFrames]) -> Floats:
     """Estimate the noise of each robot's measured positions (N,) [length unit].
 
     The estimate is the median distance of a position from the line between its two neighbours in
     time.
     """
-    noises: list[float] = []
-    for robot in range(tracks[0].used.shape[1]):
+    noise_by_robot: list[float] = []
+    for robot in range(tracks[0].is_used.shape[1]):
         distances: list[Floats] = [np.zeros(1)]
         for track in tracks:
-            used = track.used[:, robot]
-            times = track.time[used, robot]
-            for places in track.poses[used, robot, :2].T:
+            is_used = track.is_used[:, robot]
+            times = track.time_s[is_used, robot]
+            for coordinates in track.poses[is_used, robot, :2].T:
                 fraction = (times[1:-1] - times[:-2]) / np.maximum(
                     times[2:] - times[:-2], FRAME_GAP_MIN_S
                 )
-                interpolated = places[:-2] + fraction * (places[2:] - places[:-2])
-                distances.append(np.abs(places[1:-1] - interpolated))
+                interpolated = coordinates[:-2] + fraction * (coordinates[2:] - coordinates[:-2])
+                distances.append(np.abs(coordinates[1:-1] - interpolated))
         median_distance = float(np.median(np.concatenate(distances)))
-        noises.append(median_distance / MEDIAN_DISTANCE)
-    return np.array(noises)
+        noise_by_robot.append(median_distance / MEDIAN_DISTANCE)
+    return np.array(noise_by_robot)
 
 
-def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
+def compute_speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
     """Compute the relative standard deviation of each robot's speed (N,) between blocks of time.
 
-    A block lasts WANDER_S. The result is 0 if the speed is measured in only one block. It is the
-    deviation of a normal distribution with the same quantiles INNER as the blocks.
+    A block lasts SPEED_BLOCK_S. The result is 0 if the speed is measured in only one block. It is
+    the deviation of a normal distribution with the same QUANTILES as the blocks.
     """
-    wanders: list[float] = []
-    for robot in range(tracks[0].used.shape[1]):
-        paces: list[float] = []
+    wander_by_robot: list[float] = []
+    for robot in range(tracks[0].is_used.shape[1]):
+        block_speeds: list[float] = []
         for track in tracks:
-            paces += _paces_of_blocks(track, robot)
+            block_speeds += _compute_block_speeds(track, robot)
         wander = 0.0
-        if len(paces) > 1:
-            lower, median, upper = np.quantile(paces, (QUANTILES[0], 0.5, QUANTILES[1]))
+        if len(block_speeds) > 1:
+            lower, median, upper = np.quantile(block_speeds, (QUANTILES[0], 0.5, QUANTILES[1]))
             wander = (upper - lower) / (QUANTILE_STDS * abs(median))
-        wanders.append(wander)
-    return np.array(wanders)
+        wander_by_robot.append(wander)
+    return np.array(wander_by_robot)
 
 
-def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
+def _compute_block_speeds(track: TrackFrames, robot: int) -> list[float]:
     """Compute the speed of a robot along its heading in each block with enough measurements.
 
     Intervals in which the robot nearly stands still are left out, because lost commands may stop a
     robot.
     """
-    is_measured = track.used[1:, robot] & track.used[:-1, robot]
+    is_measured = track.is_used[1:, robot] & track.is_used[:-1, robot]
     if not is_measured.any():
         return []
     x, y, heading = track.poses[:, robot].T
-    turned = np.asarray(wrap(np.diff(heading)))
-    distance = (np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))).real
-    gaps_s = np.diff(track.time[:, robot])
+    turn_rad = np.asarray(wrap(np.diff(heading)))
+    distance = (np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turn_rad / 2))).real
+    gaps_s = np.diff(track.time_s[:, robot])
     step_s = float(np.median(gaps_s[is_measured]))
     window = np.ones(max(1, round(SPEED_WINDOW_S / step_s)))
     window_distance = np.convolve(np.where(is_measured, distance, 0.0), window, "same")
     window_s = np.convolve(np.where(is_measured, gaps_s, 0.0), window, "same")
-    pace = window_distance / np.where(window_s > 0, window_s, np.inf)
-    drives = is_measured & (pace > STANDING_FRACTION * np.median(pace[is_measured]))
-    block = ((track.time[1:, robot] - track.time[0, robot]) / SPEED_BLOCK_S).astype(np.int64)
-    distances = np.bincount(block[drives], distance[drives])
-    durations_s = np.bincount(block[drives], gaps_s[drives])
+    windowed_speed = window_distance / np.where(window_s > 0, window_s, np.inf)
+    is_driving = is_measured & (
+        windowed_speed > STANDING_FRACTION * np.median(windowed_speed[is_measured])
+    )
+    block = ((track.time_s[1:, robot] - track.time_s[0, robot]) / SPEED_BLOCK_S).astype(np.int64)
+    distances = np.bincount(block[is_driving], distance[is_driving])
+    durations_s = np.bincount(block[is_driving], gaps_s[is_driving])
     is_full = durations_s > BLOCK_FRACTION_MIN * SPEED_BLOCK_S
     return (distances[is_full] / durations_s[is_full]).tolist()
 
 
-def _median_of_columns(pace: Floats) -> Floats:
+def _median_of_columns(values: Floats) -> Floats:
     """Compute the median of each column without NaN.
 
     It is infinite for a column without numbers.
     """
     medians = []
-    for column in pace.T:
+    for column in values.T:
         numbers = column[np.isfinite(column)]
         medians.append(np.median(numbers) if numbers.size else np.inf)
     return np.array(medians)
@@ -340,7 +354,7 @@ def run_filter(
             are in block 0.
     """
     first_model, bank = _start_filter(prior, dead_times_s)
-    blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
+    blocks = blocks or [np.zeros(len(track.time_s), dtype=np.int64) for track in tracks]
     block_count = 1 + max(block[-1] for block in blocks)
     block_ln_likelihoods = np.zeros((block_count, len(dead_times_s), len(rows)))
     lost_directions = np.zeros(len(rows))
@@ -348,17 +362,19 @@ def run_filter(
     for track, block in zip(tracks, blocks, strict=True):
         _begin_track(bank, track)
         model = first_model._replace(
-            watchdog_s=track.watchdog, host_lag_s=track.lag, hold=track.hold_moments
+            watchdog_s=track.watchdog_s, host_lag_s=track.lag_s, hold=track.hold_moments
         )
-        watch = _ResidualWatch(track.u, len(rows)) if watched else None
-        _run_track(bank, model, track, rows, spacing_s, watch, block_ln_likelihoods, block)
-        if watch is not None:
-            residuals += watch.residuals
-            lost_directions += watch.lost
+        residual_collector = _ResidualCollector(track.direction_rad, len(rows)) if watched else None
+        _run_track(
+            bank, model, track, rows, spacing_s, residual_collector, block_ln_likelihoods, block
+        )
+        if residual_collector is not None:
+            residuals += residual_collector.residuals
+            lost_directions += residual_collector.lost
         # each branch of a row goes on from the likeliest one
-        best = bank.ln_weight.argmax(axis=2)[..., None, None]
-        bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
-        bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
+        likeliest = bank.ln_weight.argmax(axis=2)[..., None, None]
+        bank.state[...] = np.take_along_axis(bank.state, likeliest, axis=2)
+        bank.cov[...] = np.take_along_axis(bank.cov, likeliest[..., None], axis=2)
     variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
     return PassResult(
         block_ln_likelihoods=block_ln_likelihoods,
@@ -377,14 +393,14 @@ def _begin_track(bank: Bank, track: TrackFrames) -> None:
     """
     bank.ln_weight[...] = -np.inf
     bank.ln_weight[..., 0] = 0.0
-    bank.state[..., LAG] = track.lag
-    if track.lag > 0:  # the wheels stand until the first direction acts
+    bank.state[..., LAG] = track.lag_s
+    if track.lag_s > 0:  # the wheels stand until the first direction acts
         bank.direction[...] = np.nan
         bank.next_command[:] = 0
     else:  # the first direction also acts before its time
-        bank.direction[...] = track.u[0]
+        bank.direction[...] = track.direction_rad[0]
         bank.next_command[:] = 1
-    bank.until_s[...] = bank.dead_time_s[..., None] + track.sent_s[0] + track.watchdog
+    bank.until_s[...] = bank.dead_time_s[..., None] + track.sent_s[0] + track.watchdog_s
 
 
 def _run_track(
@@ -393,7 +409,7 @@ def _run_track(
     track: TrackFrames,
     rows: NDArray[np.int64],
     spacing_s: float,
-    watch: "_ResidualWatch | None",
+    residual_collector: "_ResidualCollector | None",
     block_ln_likelihoods: Floats,
     block: Integers,
 ) -> None:
@@ -405,51 +421,52 @@ def _run_track(
         track: The frames (F,).
         rows: The indices of the robots (R,).
         spacing_s: Uncertainty of each dead time [s].
-        watch: Collects residuals. None to collect nothing.
+        residual_collector: Collects residuals. None to collect nothing.
         block_ln_likelihoods: The ln likelihood of each block (K, B, R), to which this function
             adds.
         block: The index of each frame's block (F,).
     """
     from tetractl.control.estimation.kernels import filter as kernel
 
-    commands = SentCommands(track.sent_s, track.u)
-    times = track.time[:, rows]
+    commands = SentCommands(track.sent_s, track.direction_rad)
+    all_times_s = track.time_s[:, rows]
     poses = np.ascontiguousarray(track.poses[:, rows])
-    used = np.ascontiguousarray(track.used[:, rows])
-    restarts = np.ascontiguousarray(track.restarts[:, rows])
+    is_used = np.ascontiguousarray(track.is_used[:, rows])
+    is_restart = np.ascontiguousarray(track.is_restart[:, rows])
     # the filter is called with two frames: one without poses, by which no interval is too long
     # for its commands, and the camera's
     frame_poses = np.full((2, *poses.shape[1:]), np.nan)
     frame_valid = np.zeros((2, len(rows)), np.bool_)
-    previous = np.full(len(rows), -np.inf)
-    for frame, times_now in enumerate(times):
-        frame_times = np.stack([np.maximum(previous, times_now - 2 * RESTART_GAP_S), times_now])
+    previous_s = np.full(len(rows), -np.inf)
+    for frame, times_s in enumerate(all_times_s):
+        frame_times_s = np.stack([np.maximum(previous_s, times_s - 2 * RESTART_GAP_S), times_s])
         frame_poses[1] = poses[frame]
-        frame_valid[1] = used[frame]
-        frames = PoseFrames(frame_times, frame_poses, frame_valid)
+        frame_valid[1] = is_used[frame]
+        frames = PoseFrames(frame_times_s, frame_poses, frame_valid)
         likelihoods = kernel.follow(bank, model, commands, frames, False, spacing_s)
         block_ln_likelihoods[block[frame]] += likelihoods
         bank.noise_scale[...] = 1.0
-        if restarts[frame].any():
-            kernel.place(bank, model, NO_COMMANDS, times_now, poses[frame], restarts[frame])
-        if watch is not None:
-            watch.add(bank, poses[frame], used[frame])
-        previous = times_now
+        if is_restart[frame].any():
+            kernel.place(bank, model, NO_COMMANDS, times_s, poses[frame], is_restart[frame])
+        if residual_collector is not None:
+            residual_collector.add(bank, poses[frame], is_used[frame])
+        previous_s = times_s
 
 
-class _ResidualWatch:
-    """Collects residuals along a track, for the dead time in the middle of a bank.
+class _ResidualCollector:
+    """Collector of heading residuals along a track, for the middle dead time of a bank.
 
-    `residuals` has an entry (R,) for each frame: the residuals of headings [rad]. `lost` (R,) is
-    the expected number of the directions u (C,) that did not reach a robot.
+    Attributes:
+        residuals: The residuals of headings in each frame, shape (R,) each [rad].
+        lost: Expected number of directions that did not reach each robot, shape (R,).
     """
 
     def __init__(self, u: Floats, rows: int) -> None:
         self.residuals: list[Floats] = []
         self._u = u
         self._rows = np.arange(rows)
-        # by the newest direction sent: the probability that the robot follows another one; the
-        # last row is of none sent
+        # probability that a robot does not follow the newest direction, with a row for each
+        # direction; the last row is for the time before the first direction
         self._missed = np.zeros((len(u) + 1, rows))
 
     def add(self, bank: Bank, poses: Floats, used: Bools) -> None:
@@ -460,12 +477,12 @@ class _ResidualWatch:
             poses: The poses, shape (R, 3).
             used: Whether each pose is used, shape (R,).
         """
-        middle = len(bank.dead_time_s) // 2
-        ln_weight = bank.ln_weight[middle]
-        state = bank.state[middle, self._rows, ln_weight.argmax(axis=1)]
+        middle_dead_time = len(bank.dead_time_s) // 2
+        ln_weight = bank.ln_weight[middle_dead_time]
+        state = bank.state[middle_dead_time, self._rows, ln_weight.argmax(axis=1)]
         self.residuals.append(np.where(used, wrap(poses[:, 2] - state[:, 2]), np.nan))
-        newest = bank.next_command[middle] - 1
-        follows_another = bank.direction[middle] != self._u[newest][:, None]
+        newest = bank.next_command[middle_dead_time] - 1
+        follows_another = bank.direction[middle_dead_time] != self._u[newest][:, None]
         weights = np.exp(ln_weight) * follows_another
         self._missed[newest, self._rows] = weights[:, :-1].sum(axis=1)
 

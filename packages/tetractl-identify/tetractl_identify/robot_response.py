@@ -12,24 +12,25 @@ import numpy as np
 from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table import Column, Table
 from tetractl_identify.explained import Explained
-from tetractl_identify.identify import cell, labels_of
+from tetractl_identify.identify import cell, create_row_labels
 from tetractl_identify.unusual import (
     GAINS,
     USUAL_RANGES,
+    describe_undetermined_values,
+    describe_unusual_values,
     may_be_usual,
-    undetermined_values,
-    unusual_values,
 )
 
-SAME_LAG_S = 0.02
+LAG_ERROR_MAX_S = 0.02
 """Maximum error of a lag that is useful in a spec [s]."""
-SHORTEST_LAG_S = 1e-3
-LONGEST_LAG_S = 10.0
-"""Maximum width of a lag's interval in its weight [s]. SHORTEST_LAG_S is the minimum."""
-DRIFT_S = 0.1
-"""Minimum difference of two clocks at the end of a recording that the table names [s]."""
-DETERMINED = ("dead_time", "turning_lag", "speed_lag", *GAINS, "veer")
-"""The values of which the table says whether the data determine them."""
+LAG_MIN_S = 1e-3
+"""Minimum of a fitted lag, and of an interval's width in the weight of a lag [s]."""
+LAG_MAX_S = 10.0
+"""Maximum of a fitted lag, and of an interval's width in the weight of a lag [s]."""
+DRIFT_MIN_S = 0.1
+"""Minimum difference of two clocks at the end of a recording that the table reports [s]."""
+CHECKED_VALUES = ("dead_time", "turning_lag", "speed_lag", *GAINS, "veer")
+"""Names of the values for which the table reports whether the data determine them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +80,16 @@ class RobotResponse:
 
     @property
     def problem(self) -> str:
-        """A text that says what contradicts the commands. Empty if nothing does."""
+        """Description of the motion that contradicts the commands. Empty if none does."""
         turns = self.turning_explained.is_contradicted(
             may_be_usual("turning_gain", self.turning_gain)
         )
         drives = self.distance_explained.is_contradicted(
             may_be_usual("speed_gain", self.speed_gain)
         )
-        of_turning = f"{self.turning_explained} of the turning" if turns else ""
-        of_distance = f"{self.distance_explained} of the distance travelled" if drives else ""
-        return " and ".join(filter(None, (of_turning, of_distance)))
+        turning_problem = f"{self.turning_explained} of the turning" if turns else ""
+        distance_problem = f"{self.distance_explained} of the distance travelled" if drives else ""
+        return " and ".join(filter(None, (turning_problem, distance_problem)))
 
 
 UNITS = {
@@ -108,7 +109,7 @@ UNITS = {
 """The units of `quantities`; {unit} is the tracks' unit of length."""
 
 
-def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
+def create_response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
     """Create a table of the identified values, with a column per robot and a row per value.
 
     Each value has its 95 % interval. Three more rows have none: how much of the turning and of the
@@ -121,39 +122,44 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
         unit: The length unit.
     """
     units = {name: UNITS[name] for name in responses[0].quantities}
-    labels = [*labels_of(units, unit), "turning explained", "distance explained", "left out"]
+    labels = [
+        *create_row_labels(units, unit),
+        "turning explained",
+        "distance explained",
+        "left out",
+    ]
     columns = [Column("quantity", labels)]
     for robot in responses:
         values = [cell(value) for value in robot.quantities.values()]
         left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"
-        of_motion = [str(robot.turning_explained), str(robot.distance_explained)]
-        columns.append(Column(robot.name, [*values, *of_motion, left_out]))
-    by_name = [(robot.name, robot.quantities) for robot in responses]
-    drift = DRIFT_S / max(robot.duration_s for robot in responses)
-    usual = USUAL_RANGES | {"clock_drift": (-drift, drift)}
+        explained_cells = [str(robot.turning_explained), str(robot.distance_explained)]
+        columns.append(Column(robot.name, [*values, *explained_cells, left_out]))
+    values_by_robot = [(robot.name, robot.quantities) for robot in responses]
+    drift_min = DRIFT_MIN_S / max(robot.duration_s for robot in responses)
+    usual_range_by_name = USUAL_RANGES | {"clock_drift": (-drift_min, drift_min)}
     notes = [
-        _lag_for_spec(responses),
-        undetermined_values(by_name, DETERMINED),
-        unusual_values(by_name, usual),
+        _describe_lag_for_spec(responses),
+        describe_undetermined_values(values_by_robot, CHECKED_VALUES),
+        describe_unusual_values(values_by_robot, usual_range_by_name),
     ]
-    return Table(title, tuple(columns), "\n".join(text for text in notes if text))
+    return Table(title, tuple(columns), "\n".join(note for note in notes if note))
 
 
-def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
+def _describe_lag_for_spec(responses: Sequence[RobotResponse]) -> str:
     """Describe the value of a spec's lag that fits all robots.
 
     The value is the mean lag of turning, weighted by precision, because a host steers by turning.
     The text is empty if the lag is not known well enough to be useful.
     """
-    lags = np.array([robot.turning_lag.value for robot in responses])
-    widths = np.array([robot.turning_lag.high - robot.turning_lag.low for robot in responses])
-    weights = 1 / np.clip(widths, SHORTEST_LAG_S, LONGEST_LAG_S)
-    mean = float(np.average(lags, weights=weights))
-    if not (widths / 2 <= SAME_LAG_S).all():
+    lags_s = np.array([robot.turning_lag.value for robot in responses])
+    widths_s = np.array([robot.turning_lag.high - robot.turning_lag.low for robot in responses])
+    weights = 1 / np.clip(widths_s, LAG_MIN_S, LAG_MAX_S)
+    mean_lag_s = float(np.average(lags_s, weights=weights))
+    if not (widths_s / 2 <= LAG_ERROR_MAX_S).all():
         return ""
-    if not (abs(lags - mean) <= SAME_LAG_S).all():
+    if not (abs(lags_s - mean_lag_s) <= LAG_ERROR_MAX_S).all():
         return (
-            f"the robots' lags differ by more than {SAME_LAG_S:g} s, so that no single lag "
+            f"the robots' lags differ by more than {LAG_ERROR_MAX_S:g} s, so that no single lag "
             "fits them all"
         )
-    return f"lag of turning, to put into a spec: lab.lag={mean:.3f} (simulated: wheels.lag)"
+    return f"lag of turning, to put into a spec: lab.lag={mean_lag_s:.3f} (simulated: wheels.lag)"

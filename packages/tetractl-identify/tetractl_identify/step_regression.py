@@ -16,13 +16,13 @@ from scipy.linalg import cholesky_banded, solve_banded
 
 from tetractl.core.poses import Floats
 from tetractl_identify.driven_steps import DEAD_TIME_UNIT_S, UsedSteps
-from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
+from tetractl_identify.robot_response import LAG_MAX_S, LAG_MIN_S
 
-LN_FACTOR_MAX = 25.0
+LN_RATIO_MAX = 25.0
 """Maximum magnitude of the logarithm of a parameter in its unit: beyond it, numbers overflow."""
 TURN_ERROR_RAD = 5e-4
 """Standard deviation by which the model errs in a turn [rad]."""
-DISTANCE_ERROR = 0.005
+DISTANCE_ERROR_RATIO = 0.005
 """Standard deviation by which the model errs in a distance, relative to the usual one.
 
 Robots do not drive exact arcs, and wheels turn by whole counts.
@@ -33,12 +33,12 @@ GAIN_PRIOR_STD = 10.0
 It is so wide that the prior hardly matters.
 """
 OTHER_PRIOR_STD = 1.0
-"""Standard deviation of the prior of what the other integral adds to a motion.
+"""Standard deviation of the prior of the other integral's contribution to a motion.
 
 The prior is around 0, relative to the motion, and so wide that it hardly matters.
 """
 ABSENT_GAIN_STD = 1e-6
-"""Factor on this deviation if the data cannot distinguish the two integrals."""
+"""Factor on OTHER_PRIOR_STD if the data cannot distinguish the two integrals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +66,15 @@ class ResponseParameters:
 
         `self` contains the units. A vector of zeros gives the dead time of `self` and no drift.
         """
-        factor = np.exp(np.clip(vector, -LN_FACTOR_MAX, LN_FACTOR_MAX))
+        factors = np.exp(np.clip(vector, -LN_RATIO_MAX, LN_RATIO_MAX))
         return ResponseParameters(
             dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
-            turning_lag=_clip_lag(self.turning_lag * factor[1]),
-            speed_lag=_clip_lag(self.speed_lag * factor[2]),
-            heading_walk=self.heading_walk * factor[3],
-            way_walk=self.way_walk * factor[4],
-            heading_noise=self.heading_noise * factor[5],
-            position_noise=self.position_noise * factor[6],
+            turning_lag=_clip_lag(self.turning_lag * factors[1]),
+            speed_lag=_clip_lag(self.speed_lag * factors[2]),
+            heading_walk=self.heading_walk * factors[3],
+            way_walk=self.way_walk * factors[4],
+            heading_noise=self.heading_noise * factors[5],
+            position_noise=self.position_noise * factors[6],
             clock_drift=self.clock_drift * vector[7],
         )
 
@@ -84,12 +84,12 @@ class ResponseParameters:
 
 
 def _clip_lag(lag_s: float) -> float:
-    """Limit a lag [s] to the range from SHORTEST_LAG_S to LONGEST_LAG_S."""
-    return min(max(lag_s, SHORTEST_LAG_S), LONGEST_LAG_S)
+    """Limit a lag [s] to the range from LAG_MIN_S to LAG_MAX_S."""
+    return min(max(lag_s, LAG_MIN_S), LAG_MAX_S)
 
 
 @dataclass(frozen=True, slots=True)
-class Whitened:
+class WhitenedSteps:
     """Turns or distances and their integrals, divided by the Cholesky root of their covariance.
 
     After this division, the noise of all steps is independent and has variance 1.
@@ -97,23 +97,23 @@ class Whitened:
     Attributes:
         y: Whitened turns or distances, shape (M,). The residual y - x gains is white.
         x: Whitened integrals, shape (M, 2), of p and of q.
-        ln_root: Logarithms of the diagonal of the root, shape (M,).
+        ln_root_diagonal: Logarithms of the diagonal of the root, shape (M,).
         own_column: Column of the integral that the motion follows: 0 for distances, 1 for turns.
-        own_only: Whether the other integral adds nothing.
+        is_own_only: Whether the other integral adds nothing.
     """
 
     y: Floats
     x: Floats
-    ln_root: Floats
+    ln_root_diagonal: Floats
     own_column: int
-    own_only: bool
+    is_own_only: bool
 
     @property
     def prior(self) -> tuple[Floats, Floats]:
         """The prior of the gains: its mean (2,), and the inverse of its variance (2,)."""
         lengths = np.linalg.norm(self.x, axis=0)
         scale = max(float(lengths[self.own_column]), float(np.linalg.norm(self.y)), 1e-12)
-        std = OTHER_PRIOR_STD * (ABSENT_GAIN_STD if self.own_only else 1.0)
+        std = OTHER_PRIOR_STD * (ABSENT_GAIN_STD if self.is_own_only else 1.0)
         weights = np.square(np.maximum(lengths, 1e-12) / (std * scale))
         weights[self.own_column] = np.square(
             max(float(lengths[self.own_column]), 1e-12) / (GAIN_PRIOR_STD * scale)
@@ -127,20 +127,20 @@ class Whitened:
         """The information matrix (2, 2) of the gains."""
         return np.asarray(self.x.T @ self.x + np.diag(self.prior[1]), dtype=np.float64)
 
-    def gains(self) -> Floats:
+    def fit_gains(self) -> Floats:
         """Compute the most likely gains (2,), of the integrals of p and of q."""
         mean, weights = self.prior
         gains = np.linalg.solve(self.information, self.x.T @ self.y + weights * mean)
         return np.asarray(gains, dtype=np.float64)
 
-    def likelihoods(self, gains: Floats) -> Floats:
+    def compute_ln_likelihoods(self, gains: Floats) -> Floats:
         """Compute the ln likelihood of each step (M,) for given gains (2,)."""
-        return -self.ln_root - np.square(self.y - self.x @ gains) / 2
+        return -self.ln_root_diagonal - np.square(self.y - self.x @ gains) / 2
 
-    def restricted_likelihood(self) -> float:
+    def compute_restricted_ln_likelihood(self) -> float:
         """Compute the restricted ln likelihood, in which the two gains are integrated out."""
         _, ln_information = np.linalg.slogdet(self.information)
-        likelihoods = self.likelihoods(self.gains())
+        likelihoods = self.compute_ln_likelihoods(self.fit_gains())
         return float(likelihoods.sum() - ln_information / 2)
 
 
@@ -152,7 +152,7 @@ def _whiten_steps(
     walk: float,
     noise: float,
     error: float,
-) -> Whitened:
+) -> WhitenedSteps:
     """Whiten turns or distances (M,) and their integrals.
 
     The variance of a step is walk^2 times its duration, plus error^2, plus twice noise^2. The
@@ -161,13 +161,15 @@ def _whiten_steps(
     covariance = np.zeros((2, len(measured)))  # its diagonal, and the one below
     covariance[0] = walk**2 * steps.duration_s + error**2 + 2 * noise**2
     covariance[1, :-1] = np.where(steps.neighbours, -(noise**2), 0.0)
-    root = cholesky_banded(covariance, lower=True)
-    whitened = solve_banded((1, 0), root, np.column_stack([measured, parameters.integrals(steps)]))
+    cholesky_root = cholesky_banded(covariance, lower=True)
+    whitened = solve_banded(
+        (1, 0), cholesky_root, np.column_stack([measured, parameters.integrals(steps)])
+    )
     y, x = whitened[:, 0], whitened[:, 1:]
-    return Whitened(y, x, np.log(root[0]), own_column, steps.in_one_ratio)
+    return WhitenedSteps(y, x, np.log(cholesky_root[0]), own_column, steps.in_one_ratio)
 
 
-def whitened_turns(steps: UsedSteps, parameters: ResponseParameters) -> Whitened:
+def whiten_turns(steps: UsedSteps, parameters: ResponseParameters) -> WhitenedSteps:
     """Whiten the turn of each step, so that its noise is independent and has variance 1.
 
     Args:
@@ -185,7 +187,15 @@ def whitened_turns(steps: UsedSteps, parameters: ResponseParameters) -> Whitened
     )
 
 
-def whitened_ways(steps: UsedSteps, p: ResponseParameters) -> Whitened:
-    """Whiten the distance of each step along the heading; see `whitened_turns`."""
-    error = DISTANCE_ERROR * float(np.median(np.abs(steps.distance_along))) + 1e-12
-    return _whiten_steps(steps.distance_along, 0, p, steps, p.way_walk, p.position_noise, error)
+def whiten_distances(steps: UsedSteps, parameters: ResponseParameters) -> WhitenedSteps:
+    """Whiten the distance of each step along the heading; see `whiten_turns`."""
+    error = DISTANCE_ERROR_RATIO * float(np.median(np.abs(steps.distance_along))) + 1e-12
+    return _whiten_steps(
+        steps.distance_along,
+        0,
+        parameters,
+        steps,
+        parameters.way_walk,
+        parameters.position_noise,
+        error,
+    )

@@ -12,8 +12,8 @@ from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.wheels import body_velocity
 
-SETTLED_S = 0.5
-"""Time from the first direction after a pause until all robots drive again [s]."""
+SETTLING_S = 0.5
+"""Time after the first direction that follows a pause until all robots drive again [s]."""
 ROUNDING_S = 1e-6
 """How much shorter a time between two poses may be because of rounding [s].
 
@@ -32,34 +32,36 @@ class Track:
         origin: Where the data come from, for the title of a table.
         unit: Length unit of the poses and speeds.
         names: Names of the robots, shape (N,).
-        time: When each frame was exposed [s], shape (M,).
+        time_s: When each frame was exposed [s], shape (M,).
         poses: x, y [length unit] and heading [rad], shape (M, N, 3).
         valid: False where a robot was not tracked, or paused between two stretches of driving,
             shape (M, N).
-        sent: When each command was sent [s], shape (C,).
-        u: Direction of each command [rad], shape (C,). NaN if the track has `twists` instead.
-        until: When the robots receive a stop [s]. Later data are not used.
-        frame_age: Median time from the exposure of a frame to the sending of the command decided on
-            it [s]. None if unknown.
-        watchdog: Robots that receive nothing for this time stop [s].
-        lag: Time constant with which wheels follow [s]. It is 0 if the robots have no wheels, and
+        sent_s: When each command was sent [s], shape (C,).
+        direction_rad: Direction of each command [rad], shape (C,). NaN if the track has `twists`
+            instead.
+        stop_s: When the robots receive a stop [s]. Later data are not used.
+        frame_age_s: Median time from the exposure of a frame to the sending of the command decided
+            on it [s]. None if unknown.
+        watchdog_s: Robots that receive nothing for this time stop [s].
+        lag_s: Time constant with which wheels follow [s]. It is 0 if the robots have no wheels, and
             also if they are `on_wheels` and nothing states their lag.
         on_wheels: Whether the robots have wheels.
         strength: Strength of the field, in `strength_unit`. None if the spec does not state it.
         strength_unit: Unit of the strength.
         twists: Speed [length unit/s] and turning rate [rad/s] that each robot was sent, shape (C,
             N, 2). NaN if a robot was sent nothing, or did not receive it. C is 0 if none were sent.
-        own_times: Times of each robot's poses [s], shape (M, N). If it is empty, they are `time`.
-        received: False where the log states that a robot did not receive a command, which then
+        exposed_by_robot_s: Times of each robot's poses [s], shape (M, N). If it is empty, they are
+            `time_s`.
+        is_received: False where the log states that a robot did not receive a command, which then
             follows the command before, shape (C, N). If it is empty, nothing is known.
-        silent: True while a robot does not drive as it was commanded, because it received nothing
-            for too long, shape (M, N). If it is empty, nothing is known.
-        all_commands: Whether the robots followed only these commands. False if their wheels lag and
-            they were sent other commands between these.
+        is_silent: True while a robot does not drive as it was commanded, because it received
+            nothing for too long, shape (M, N). If it is empty, nothing is known.
+        has_all_commands: Whether the robots followed only these commands. False if their wheels lag
+            and they were sent other commands between these.
         rates_unstated: Whether it is unknown who steers robots with lagging wheels: the robots
             themselves, or a host that sends rates which foresee the lag.
-        two_clocks: Whether the times of poses and commands may come from different clocks, as in
-            tables of other programs.
+        has_two_clocks: Whether the times of poses and commands may come from different clocks, as
+            in tables of other programs.
         commands_source: The file of the commands, if it is not `source`.
         remarks: Lines for the user about the data.
     """
@@ -68,25 +70,25 @@ class Track:
     origin: str
     unit: str
     names: tuple[str, ...]
-    time: Floats
+    time_s: Floats
     poses: Floats
     valid: Bools
-    sent: Floats
-    u: Floats
-    until: float
-    frame_age: float | None = None
-    watchdog: float = math.inf
-    lag: float = 0.0
+    sent_s: Floats
+    direction_rad: Floats
+    stop_s: float
+    frame_age_s: float | None = None
+    watchdog_s: float = math.inf
+    lag_s: float = 0.0
     on_wheels: bool = False
     strength: float | None = None
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
-    own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    received: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
-    silent: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
-    all_commands: bool = True
+    exposed_by_robot_s: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    is_received: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    is_silent: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    has_all_commands: bool = True
     rates_unstated: bool = False
-    two_clocks: bool = False
+    has_two_clocks: bool = False
     commands_source: str = ""
     remarks: tuple[str, ...] = ()
 
@@ -99,47 +101,47 @@ class Track:
         return tuple(filter(None, (self.source, self.commands_source)))
 
     @property
-    def exposed(self) -> Floats:
+    def exposed_s(self) -> Floats:
         """When each robot was exposed in each of M frames, shape (M, N) [s].
 
         It is the frame's time for all robots, unless each robot has its own times.
         """
-        if self.own_times.size:
-            return self.own_times
-        return np.repeat(self.time[:, None], len(self.names), axis=1)
+        if self.exposed_by_robot_s.size:
+            return self.exposed_by_robot_s
+        return np.repeat(self.time_s[:, None], len(self.names), axis=1)
 
     @property
-    def commanded(self) -> Bools:
-        """Whether a pose (M, N) is valid, and its robot is not known to ignore its commands."""
-        return self.valid & ~self.silent if self.silent.size else self.valid
+    def follows_commands(self) -> Bools:
+        """Whether a pose is valid and its robot follows the commands, as far as known (M, N)."""
+        return self.valid & ~self.is_silent if self.is_silent.size else self.valid
 
     def received_by(self, robot: int) -> Bools:
         """Find which commands (C,) a robot received, as far as the log shows.
 
         If the log does not show it, the result is True for all commands.
         """
-        if self.received.size:
-            return self.received[:, robot]
-        return np.ones(len(self.sent), dtype=np.bool_)
+        if self.is_received.size:
+            return self.is_received[:, robot]
+        return np.ones(len(self.sent_s), dtype=np.bool_)
 
 
-def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Integers:
+def select_rows_apart(times: Floats, spacing_min_s: float, last_s: float = -math.inf) -> Integers:
     """Select rows (K,) that are at least some time apart.
 
     Args:
         times: Increasing times [s], shape (M,).
-        least_s: Minimum time between two rows [s].
+        spacing_min_s: Minimum time between two rows [s].
         last_s: Time of the row before the first one [s].
     """
     rows: list[int] = []
     for row, time_s in enumerate(times.tolist()):
-        if time_s - last_s >= least_s - ROUNDING_S:
+        if time_s - last_s >= spacing_min_s - ROUNDING_S:
             rows.append(row)
             last_s = time_s
     return np.array(rows, dtype=np.int64)
 
 
-def integrals_of_sent(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
+def integrate_held_rates(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
     """Integrate rates up to given times, (M, K). Each rate is held until the next one.
 
     Args:
@@ -147,12 +149,12 @@ def integrals_of_sent(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
         rates: The rates, shape (C, K).
         times: The times [s], shape (M,).
     """
-    total = np.zeros_like(rates)
-    total[1:] = np.cumsum(np.diff(sent_s)[:, None] * rates[:-1], axis=0)
-    return np.column_stack([np.interp(times, sent_s, column) for column in total.T])
+    integrals = np.zeros_like(rates)
+    integrals[1:] = np.cumsum(np.diff(sent_s)[:, None] * rates[:-1], axis=0)
+    return np.column_stack([np.interp(times, sent_s, column) for column in integrals.T])
 
 
-def track_of(log: TrialLog) -> Track:
+def extract_track(log: TrialLog) -> Track:
     """Extract the measured poses and commands from a log. The true poses are never used.
 
     Raises:
@@ -164,30 +166,30 @@ def track_of(log: TrialLog) -> Track:
             "use the log of a controller that sends a direction at every step",
         )
     setup = log.start.setup
-    directed = [command for command in log.commands if command.direction is not None]
-    if not directed and log.steps:
-        directed = [step.command for step in log.steps]
+    directed_commands = [command for command in log.commands if command.direction is not None]
+    if not directed_commands and log.steps:
+        directed_commands = [step.command for step in log.steps]
     ages_ns = [step.command.sent_ns - step.observation.sampled_ns for step in log.steps[1:]]
-    last_ns = stopped_ns(log)
-    if last_ns is None:
-        last_ns = max((command.sent_ns for command in directed), default=0)
+    stop_ns = find_stop_ns(log)
+    if stop_ns is None:
+        stop_ns = max((command.sent_ns for command in directed_commands), default=0)
     return Track(
         source=log.log,
         origin=log.origin.value,
         unit=setup.unit,
         names=setup.names,
-        time=log.mocap_ns / SECOND,
+        time_s=log.mocap_ns / SECOND,
         poses=log.mocap,
-        own_times=log.exposed_ns / SECOND,
+        exposed_by_robot_s=log.exposed_ns / SECOND,
         valid=log.valid & ~_paused(log)[:, None],
-        silent=_silent(log),
-        sent=np.array([command.sent_ns for command in directed], dtype=float) / SECOND,
-        u=np.array([command.direction for command in directed], dtype=float),
-        received=np.array([command.delivered for command in directed], dtype=np.bool_),
-        until=last_ns / SECOND,
-        frame_age=float(np.median(ages_ns)) / SECOND if ages_ns else None,
-        watchdog=setup.watchdog_s,
-        lag=_lag_assumed(log),
+        is_silent=_silent(log),
+        sent_s=np.array([command.sent_ns for command in directed_commands], dtype=float) / SECOND,
+        direction_rad=np.array([command.direction for command in directed_commands], dtype=float),
+        is_received=np.array([command.delivered for command in directed_commands], dtype=np.bool_),
+        stop_s=stop_ns / SECOND,
+        frame_age_s=float(np.median(ages_ns)) / SECOND if ages_ns else None,
+        watchdog_s=setup.watchdog_s,
+        lag_s=_lag_assumed(log),
         on_wheels=setup.on_wheels,
         strength=setup.strength,
         strength_unit=setup.strength_unit,
@@ -201,11 +203,11 @@ def _lag_assumed(log: TrialLog) -> float:
     lag.
     """
     actions = (step.command.action for step in reversed(log.steps))
-    sent = (action.lag_s for action in actions if isinstance(action, Steer))
-    return next((lag_s for lag_s in sent if lag_s is not None), log.start.setup.lag_s)
+    lags_sent_s = (action.lag_s for action in actions if isinstance(action, Steer))
+    return next((lag_s for lag_s in lags_sent_s if lag_s is not None), log.start.setup.lag_s)
 
 
-def wheels_of(log: TrialLog) -> Track:
+def extract_wheel_track(log: TrialLog) -> Track:
     """Extract the speeds and turning rates sent to wheels from a log, with the poses.
 
     They are computed by the paper's equations (21)-(23) with the spec's radius. A robot that did
@@ -215,7 +217,7 @@ def wheels_of(log: TrialLog) -> Track:
         UsageError: If the robots have no wheels.
     """
     radius = log.start.setup.wheel_radius
-    track = track_of(log)
+    track = extract_track(log)
     sent_ns: list[int] = []
     left_speeds: list[Floats] = []
     right_speeds: list[Floats] = []
@@ -248,10 +250,10 @@ def _paused(log: TrialLog) -> Bools:
     direction are not included.
     """
     directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
-    last_ns = max(directed_ns, default=0)
+    last_directed_ns = max(directed_ns, default=0)
     stops_ns = [command.sent_ns for command in log.commands if command.stops]
-    begun_ns = [stop_ns for stop_ns in stops_ns if stop_ns < last_ns]
-    return _until_settled(log.mocap_ns, np.array(begun_ns), np.array(directed_ns))
+    pauses_ns = [stop_ns for stop_ns in stops_ns if stop_ns < last_directed_ns]
+    return _until_settled(log.mocap_ns, np.array(pauses_ns), np.array(directed_ns))
 
 
 def _silent(log: TrialLog) -> Bools:
@@ -261,50 +263,51 @@ def _silent(log: TrialLog) -> Bools:
     counts as driving again SETTLED_S after the next command that it receives. At the start, it
     stands still until then.
     """
-    silent = np.zeros(log.valid.shape, dtype=np.bool_)
+    is_silent = np.zeros(log.valid.shape, dtype=np.bool_)
     if not log.commands:
-        return silent
+        return is_silent
     sent_ns = np.array([command.sent_ns for command in log.commands])
     watchdog_ns = log.start.setup.watchdog_s * SECOND
     delivered = np.array([command.delivered for command in log.commands], dtype=np.bool_)
     for robot, is_received in enumerate(delivered.T):
         received_ns = sent_ns[is_received]
-        is_last = np.diff(received_ns, append=math.inf) > watchdog_ns
-        begun_ns = received_ns[is_last] + watchdog_ns
+        precedes_silence = np.diff(received_ns, append=math.inf) > watchdog_ns
+        silences_ns = received_ns[precedes_silence] + watchdog_ns
         if not is_received[0]:
-            begun_ns = np.append(sent_ns[0], begun_ns)
-        silent[:, robot] = _until_settled(log.mocap_ns, begun_ns, received_ns)
-    return silent
+            silences_ns = np.append(sent_ns[0], silences_ns)
+        is_silent[:, robot] = _until_settled(log.mocap_ns, silences_ns, received_ns)
+    return is_silent
 
 
 def _until_settled(
-    frames_ns: Integers, begun_ns: Integers | Floats, again_ns: Integers | Floats
+    frames_ns: Integers, interruptions_ns: Integers | Floats, resumptions_ns: Integers | Floats
 ) -> Bools:
     """Find the frames (M,) at which robots do not drive as commanded.
 
     Args:
         frames_ns: When each frame was exposed [ns], shape (M,).
-        begun_ns: Increasing times at which robots stop following their commands, shape (B,) [ns].
-        again_ns: Increasing times of commands, shape (A,) [ns]. Robots follow again SETTLED_S after
-            the next of these commands. Without a further command, they never do.
+        interruptions_ns: Increasing times at which robots stop following their commands, shape (B,)
+            [ns].
+        resumptions_ns: Increasing times of commands, shape (A,) [ns]. Robots follow again SETTLED_S
+            after the next of these commands. Without a further command, they never do.
     """
-    ends_ns = np.append(again_ns + SETTLED_S * SECOND, math.inf)
-    ends_ns = ends_ns[np.searchsorted(again_ns, begun_ns, side="right")]
-    latest = np.searchsorted(begun_ns, frames_ns, side="right")
-    return frames_ns < np.append(-math.inf, ends_ns)[latest]
+    ends_ns = np.append(resumptions_ns + SETTLING_S * SECOND, math.inf)
+    ends_ns = ends_ns[np.searchsorted(resumptions_ns, interruptions_ns, side="right")]
+    n_interruptions = np.searchsorted(interruptions_ns, frames_ns, side="right")
+    return frames_ns < np.append(-math.inf, ends_ns)[n_interruptions]
 
 
-def stopped_ns(log: TrialLog) -> int | None:
+def find_stop_ns(log: TrialLog) -> int | None:
     """Return when the first stop after the last direction was sent [ns]. None if unknown.
 
     A lab sends several stops at the end. `log.stop` is the last of them.
     """
     directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
-    last_ns = max(directed_ns, default=-1)
+    last_directed_ns = max(directed_ns, default=-1)
     stops_ns = [command.sent_ns for command in log.commands if command.direction is None]
-    after_ns = [stop_ns for stop_ns in stops_ns if stop_ns > last_ns]
-    if after_ns:
-        return min(after_ns)
+    final_stops_ns = [stop_ns for stop_ns in stops_ns if stop_ns > last_directed_ns]
+    if final_stops_ns:
+        return min(final_stops_ns)
     return log.stop.sent_ns if log.stop else None
 
 
@@ -314,17 +317,21 @@ def require_same(tracks: list[Track]) -> None:
     Raises:
         UsageError: If they do not.
     """
-    first = tracks[0]
+    first_track = tracks[0]
     for track in tracks[1:]:
-        if (track.strength, track.strength_unit) != (first.strength, first.strength_unit):
+        if (track.strength, track.strength_unit) != (
+            first_track.strength,
+            first_track.strength_unit,
+        ):
             raise UsageError(
-                f"{track.source}: the field's strength differs from the strength in {first.source}",
+                f"{track.source}: the field's strength differs from the strength in "
+                f"{first_track.source}",
                 "identify these logs separately, because the turning rate a depends on the "
                 "strength",
             )
-        if (track.names, track.unit) != (first.names, first.unit):
+        if (track.names, track.unit) != (first_track.names, first_track.unit):
             raise UsageError(
                 f"{track.source}: the robots or the length unit differ from those in "
-                f"{first.source}",
+                f"{first_track.source}",
                 "identify them separately",
             )

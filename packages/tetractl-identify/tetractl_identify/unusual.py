@@ -26,7 +26,7 @@ HALF_WIDTH_MAX = {"dead_time": 0.3, "turning_gain": 0.5, "speed_gain": 0.5}
 It is multiplied by the value if that is above 1.
 """
 
-Values = Mapping[str, SampleInterval]
+ValueByName = Mapping[str, SampleInterval]
 
 
 def is_determined(name: str, value: SampleInterval) -> bool:
@@ -52,54 +52,57 @@ def _overlaps(value: SampleInterval, lower: float, upper: float) -> bool:
     return value.low <= upper and value.high >= lower
 
 
-def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bool:
+def _is_unusual(name: str, value: SampleInterval, lower: float, upper: float) -> bool:
     """Check whether a value's whole interval is outside a range.
 
     For gains, and for values without an interval, the value itself decides.
     """
     if name in GAINS or math.isnan(value.low):
-        return not low <= value.value <= high
-    return value.high < low or value.low > high
+        return not lower <= value.value <= upper
+    return value.high < lower or value.low > upper
 
 
-def unusual_values(
-    robots: Sequence[tuple[str, Values]], usual: Mapping[str, tuple[float, float]] = USUAL_RANGES
+def describe_unusual_values(
+    values_by_robot: Sequence[tuple[str, ValueByName]],
+    usual_range_by_name: Mapping[str, tuple[float, float]] = USUAL_RANGES,
 ) -> str:
     """Describe in one sentence the values outside their usual ranges. Empty if there are none.
 
     Args:
-        robots: The values of each robot, by name.
-        usual: The usual ranges.
+        values_by_robot: The name of each robot, and its values by their names.
+        usual_range_by_name: The usual range of each value, by the value's name.
     """
     sentences: list[str] = []
-    for name, values in robots:
-        for quantity, (low, high) in usual.items():
+    for name, values in values_by_robot:
+        for quantity, (lower, upper) in usual_range_by_name.items():
             value = values.get(quantity)
-            if value is None or not _is_unusual(quantity, value, low, high):
+            if value is None or not _is_unusual(quantity, value, lower, upper):
                 continue
-            if _overlaps(value, low, high) and not is_determined(quantity, value):
+            if _overlaps(value, lower, upper) and not is_determined(quantity, value):
                 continue  # it may as well be usual
             sentence = f"the {quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
-            sentences.append(f"{sentence} (usual: {low:.3g} to {high:.3g})")
+            sentences.append(f"{sentence} (usual: {lower:.3g} to {upper:.3g})")
     return f"{'; '.join(sentences)}: {CHECKLIST}" if sentences else ""
 
 
-def undetermined_values(robots: Sequence[tuple[str, Values]], names: Sequence[str]) -> str:
+def describe_undetermined_values(
+    values_by_robot: Sequence[tuple[str, ValueByName]], names: Sequence[str]
+) -> str:
     """Describe in one sentence the values that the data do not determine. Empty if there are none.
 
     Args:
-        robots: The values of each robot, by name.
+        values_by_robot: The name of each robot, and its values by their names.
         names: The names of the values to check.
     """
-    parts: list[str] = []
-    for robot, values in robots:
-        missing = [name for name in names if not is_determined(name, values[name])]
-        if missing:
-            listed = ", ".join(name.replace("_", " ") for name in missing)
-            parts.append(f"{listed} of {printable(robot)}")
-    if not parts:
+    clauses: list[str] = []
+    for robot, values in values_by_robot:
+        undetermined = [name for name in names if not is_determined(name, values[name])]
+        if undetermined:
+            listed = ", ".join(name.replace("_", " ") for name in undetermined)
+            clauses.append(f"{listed} of {printable(robot)}")
+    if not clauses:
         return ""
     return (
-        f"the data do not determine {'; '.join(parts)}. Record again: change speed and turning "
+        f"the data do not determine {'; '.join(clauses)}. Record again: change speed and turning "
         "rate often, and turn to both sides"
     )

@@ -6,8 +6,9 @@ the rates that the past directions ask for, with weights exp(-t / T):
     T q' + q = a sin(u(t - dead_time) + f - h),    h' = q,
 
 with heading h, turning rate q, direction u and heading bias f. The turns between poses are linear
-in a cos f and a sin f. They are fitted for T = 0 and for T = LAG_S, each with its most likely dead
-time, which is shorter by about T for lagging wheels.
+in a cos f and a sin f. They are fitted for T = 0 and for
+T = TRIED_LAG_S, each with its most likely dead time, which is shorter by about T for lagging
+wheels.
 """
 
 from collections.abc import Sequence
@@ -15,68 +16,81 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_identify.pose_steps import robust_gains
+from tetractl_identify.pose_steps import fit_robust_gains
 from tetractl_identify.tracks import Track
 from tetractl_identify.turn_samples import TurnSamples
 
-LAG_S = 0.02
+TRIED_LAG_S = 0.02
 """Lag of the wheels that is tried [s].
 
 A host that predicts their lag makes robots turn as if a longer lag were about this long.
 """
-NEAR_S = 0.05
-APART_S = 0.0025
-"""Spacing of the dead times that are tried [s].
-
-NEAR_S is their maximum distance from the expected one.
-"""
-BLOCK = 20
+DEAD_TIME_REACH_S = 0.05
+"""Maximum difference of a tried dead time from the expected dead time [s]."""
+DEAD_TIME_SPACING_S = 0.0025
+"""Spacing of the dead times that are tried [s]."""
+TURNS_PER_BLOCK = 20
 """Number of turns in a block, 1 s or more.
 
 The differences between blocks show how certain a sum over them is.
 """
-SURE = 1.65
+CERTAINTY_STDS = 1.65
 """Number of standard deviations by which turns without a lag must fit better: 95 %, one-sided."""
 
 
-def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
-    """Check whether wheels that lag by LAG_S explain the turns as well as wheels without a lag.
+def may_lag_explain_turns(tracks: Sequence[Track], dead_time_s: float) -> bool:
+    """Check whether lagging wheels explain the turns as well as wheels without a lag.
 
-    The result is False only if lagging wheels clearly leave more of the turns unexplained. In both
-    cases, commands also have a dead time near the given one.
+    The lag is TRIED_LAG_S. The result is False only if lagging wheels clearly leave more of the
+    turns unexplained. In both cases, commands also have a dead time near the given one.
 
     Args:
         tracks: Tracks of the same robots.
         dead_time_s: The dead time [s].
     """
-    robots = [
+    turns_by_robot = [
         [TurnSamples.from_track(track, robot) for track in tracks]
         for robot in range(len(tracks[0].names))
     ]
-    if not all(any(len(turns.angle) for turns in of_robot) for of_robot in robots):
+    if not all(any(len(turns.turn_rad) for turns in of_robot) for of_robot in turns_by_robot):
         return True
-    without = _unexplained(robots, 0.0, dead_time_s)
-    with_lag = _unexplained(robots, LAG_S, dead_time_s - LAG_S)
-    of_blocks = np.add.reduceat(with_lag - without, np.arange(0, len(without), BLOCK))
-    deviation = of_blocks.std() * np.sqrt(len(of_blocks))
-    return bool(of_blocks.sum() < SURE * deviation)
+    residuals_without_lag = _compute_turn_residuals(turns_by_robot, 0.0, dead_time_s)
+    residuals_with_lag = _compute_turn_residuals(
+        turns_by_robot, TRIED_LAG_S, dead_time_s - TRIED_LAG_S
+    )
+    excess_by_block = np.add.reduceat(
+        residuals_with_lag - residuals_without_lag,
+        np.arange(0, len(residuals_without_lag), TURNS_PER_BLOCK),
+    )
+    std_of_sum = excess_by_block.std() * np.sqrt(len(excess_by_block))
+    return bool(excess_by_block.sum() < CERTAINTY_STDS * std_of_sum)
 
 
-def _unexplained(robots: Sequence[Sequence[TurnSamples]], lag_s: float, near_s: float) -> Floats:
-    """Compute how far the turns of robots (R, K) differ from those with lagging wheels [rad].
+def _compute_turn_residuals(
+    turns_by_robot: Sequence[Sequence[TurnSamples]], lag_s: float, expected_dead_time_s: float
+) -> Floats:
+    """Compute the residuals of all robots' turns after a fit with a lag of the wheels [rad].
 
-    The turns of all robots are concatenated. Of the dead times near `near_s` [s], the best one is
-    used.
+    The residuals of all robots are concatenated. Of the dead times near `expected_dead_time_s`, the
+    best one is used.
     """
 
-    def rests(dead_time_s: float) -> Floats:
-        of_robots: list[Floats] = []
-        for of_robot in robots:
-            angle = np.concatenate([turns.angle for turns in of_robot])
-            turning = np.concatenate([turns.asked_turns(lag_s, dead_time_s) for turns in of_robot])
-            causes = np.column_stack([turning.imag, turning.real])
-            of_robots.append(np.abs(angle - causes @ robust_gains(angle, causes)))
-        return np.concatenate(of_robots)
+    def compute_residuals(dead_time_s: float) -> Floats:
+        residuals: list[Floats] = []
+        for robot_turns in turns_by_robot:
+            angles = np.concatenate([turns.turn_rad for turns in robot_turns])
+            asked_turns = np.concatenate(
+                [turns.integrate_pull(lag_s, dead_time_s) for turns in robot_turns]
+            )
+            causes = np.column_stack([asked_turns.imag, asked_turns.real])
+            residuals.append(np.abs(angles - causes @ fit_robust_gains(angles, causes)))
+        return np.concatenate(residuals)
 
-    dead_times_s = np.arange(near_s - NEAR_S, near_s + NEAR_S, APART_S)
-    return min((rests(dead_time_s) for dead_time_s in dead_times_s.tolist()), key=np.sum)
+    dead_times_s = np.arange(
+        expected_dead_time_s - DEAD_TIME_REACH_S,
+        expected_dead_time_s + DEAD_TIME_REACH_S,
+        DEAD_TIME_SPACING_S,
+    )
+    return min(
+        (compute_residuals(dead_time_s) for dead_time_s in dead_times_s.tolist()), key=np.sum
+    )

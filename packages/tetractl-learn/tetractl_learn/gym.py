@@ -162,9 +162,9 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         """
         if self.render_mode is None:
             return None
-        from tetractl.view.figures.trajectory import arena_picture  # matplotlib, only if drawn
+        from tetractl.view.figures.trajectory import draw_arena_picture  # matplotlib, only if drawn
 
-        return arena_picture(self.trial.setup, np.array(self._ways))
+        return draw_arena_picture(self.trial.setup, np.array(self._ways))
 
     def _take_reward(self, error: float) -> float:
         """Compute the reward: the decrease of the sum of distances since the last reward.

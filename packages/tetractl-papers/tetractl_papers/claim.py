@@ -29,9 +29,9 @@ from tetractl.core.poses import Floats
 from tetractl.statistics.estimate import Interval, distributions, proportion_interval
 
 CONFIDENCE = 0.95
-"""Confidence of all intervals here."""
+"""Confidence level of all intervals in this module."""
 _END_PROBABILITIES = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-"""Probabilities below the lower and upper end of an interval of this confidence."""
+"""Probabilities below the lower and the upper end of an interval with this confidence level."""
 
 
 class Fate(StrEnum):
@@ -104,8 +104,10 @@ def deviation_of(values: Floats) -> OurNumber:
 
     n = len(values)
     std = float(np.std(values, ddof=1)) if n > 1 else math.nan
-    low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_END_PROBABILITIES[::-1], n - 1))).tolist()
-    return OurNumber(NumberKind.DEVIATION, std, n, low, high)
+    lower, upper = (
+        std * np.sqrt((n - 1) / stats.chi2.ppf(_END_PROBABILITIES[::-1], n - 1))
+    ).tolist()
+    return OurNumber(NumberKind.DEVIATION, std, n, lower, upper)
 
 
 # ---- What can be asked of them ----
@@ -116,7 +118,7 @@ Decide = Callable[[OurNumber], Fate]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A criterion for a number from our trials.
+    """A criterion of a claim for a number from our trials.
 
     Attributes:
         words: The criterion in words, for the table.
@@ -171,16 +173,16 @@ def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
     return Asked("nothing: an experiment", number, lambda ours: Fate.NOT_JUDGED)
 
 
-def _interval_within(low: float, high: float) -> Decide:
+def _interval_within(lower: float, upper: float) -> Decide:
     """Create a decision: REACHED if the interval is within [low, high], MISSED if it is outside.
 
     It is UNDECIDED if the interval contains one of the bounds.
     """
 
-    def decide(ours: OurNumber) -> Fate:
-        if low <= ours.low and ours.high <= high:
+    def decide(our_number: OurNumber) -> Fate:
+        if lower <= our_number.low and our_number.high <= upper:
             return Fate.REACHED
-        return Fate.MISSED if ours.high < low or ours.low > high else Fate.UNDECIDED
+        return Fate.MISSED if our_number.high < lower or our_number.low > upper else Fate.UNDECIDED
 
     return decide
 
@@ -246,13 +248,13 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
     means = None
     if claim.minus is not None:
         subtracted = _measure_trials(claim, results[claim.minus])
-        pairs = min(len(values), len(subtracted))
-        values = values[:pairs]
-        subtracted = subtracted[:pairs]
+        n_pairs = min(len(values), len(subtracted))
+        values = values[:n_pairs]
+        subtracted = subtracted[:n_pairs]
         means = (float(values.mean()), float(subtracted.mean()))
         values = values - subtracted
-    ours = claim.asked.number(values)
-    return Row(claim, replace(ours, means=means), claim.asked.decide(ours))
+    our_number = claim.asked.number(values)
+    return Row(claim, replace(our_number, means=means), claim.asked.decide(our_number))
 
 
 def _measure_trials(claim: Claim, trials: Sequence[Any]) -> Floats:

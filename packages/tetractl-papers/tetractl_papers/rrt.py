@@ -101,15 +101,15 @@ class Rrt(PlainController):
         self._edge = section.edge * radius
         self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)
         self._arena = setup.arena
-        self._path = setup.targets  # corners still to be passed (M, 2), the target last
+        self._path = setup.targets  # corners still ahead of the robot (M, 2), the target last
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
         """Point the field at the next corner, or end the trial; see `PlainController.decided`."""
         signals = np.array([self._choose_direction(problem, step_key)])
-        ended = self._end_if_passing(
+        decision = self._end_if_passing(
             problem, signals, float(problem.poses.distances(problem.targets)[0])
         )
-        return ended or given_plan(problem, signals, step_key)
+        return decision or given_plan(problem, signals, step_key)
 
     def _choose_direction(self, problem: Problem, key: int) -> float:
         """Choose the direction to send [rad], which is usually that of the next corner.
@@ -123,22 +123,26 @@ class Rrt(PlainController):
         region = problem.obstacles
         while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - position)) <= self._reach:
             self._path = self._path[1:]
-        blocked = bool(
+        is_blocked = bool(
             region.meets_segments(position[0], position[1], self._path[0, 0], self._path[0, 1])
         )
-        if blocked and not region.contains(position[0], position[1]):
+        if is_blocked and not region.contains(position[0], position[1]):
             target = problem.targets[0]
             draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
             path = grow_tree(region, self._arena, position, target, self._edge, draws)
             self._path = target[None] if path is None else path
         to_corner = self._path[0] - position
-        u = float(elementwise.atan2(to_corner[1], to_corner[0]))
+        direction_rad = float(elementwise.atan2(to_corner[1], to_corner[0]))
         heading = float(problem.poses.heading[0])
         is_too_near = len(self._path) == 1 and elementwise.hypot(*to_corner) <= self._reach
-        return heading if is_too_near and elementwise.cos(u - heading) < self.section.ahead else u
+        return (
+            heading
+            if is_too_near and elementwise.cos(direction_rad - heading) < self.section.ahead
+            else direction_rad
+        )
 
     def _end_if_passing(
-        self, problem: Problem, signals: Floats, gap: float
+        self, problem: Problem, signals: Floats, target_distance: float
     ) -> Outcome | End | None:
         """Decide when the trial ends if the robot passes its target in this control period.
 
@@ -149,7 +153,7 @@ class Rrt(PlainController):
         misalignment = signals[0] - problem.poses.heading[0]
         if (
             len(self._path) > 1
-            or gap > self._reach
+            or target_distance > self._reach
             or elementwise.cos(misalignment) < self.section.ahead
         ):
             return None
@@ -167,7 +171,7 @@ def grow_tree(
     arena: Bounds,
     start: Floats,
     target: Floats,
-    edge: float,
+    edge_length: float,
     draws: Floats,
 ) -> Floats | None:
     """Grow a random tree from the start until it reaches the target.
@@ -177,7 +181,7 @@ def grow_tree(
         arena: The arena.
         start: Where the tree starts, shape (2,).
         target: Where the path should lead, shape (2,).
-        edge: Length of an edge [length unit].
+        edge_length: Length of an edge of the tree [length unit].
         draws: Random numbers in [0, 1), shape (D, 3). Each row is used for one point: the first
             number decides whether to use the target, the others give a point in the arena.
 
@@ -195,16 +199,22 @@ def grow_tree(
         vectors = point - nodes[:node_count]
         distances = elementwise.hypot(vectors[:, 0], vectors[:, 1])
         nearest = int(np.argmin(distances))
-        root = nodes[nearest]
+        nearest_node = nodes[nearest]
         length = float(distances[nearest])
-        node = point if length <= edge else root + vectors[nearest] * (edge / length)
-        if length == 0 or region.meets_segments(root[0], root[1], node[0], node[1]):
+        node = (
+            point
+            if length <= edge_length
+            else nearest_node + vectors[nearest] * (edge_length / length)
+        )
+        if length == 0 or region.meets_segments(nearest_node[0], nearest_node[1], node[0], node[1]):
             continue
         nodes[node_count] = node
         parents[node_count] = nearest
         node_count += 1
         distance = float(elementwise.hypot(*(target - node)))
-        if distance <= edge and not region.meets_segments(node[0], node[1], target[0], target[1]):
+        if distance <= edge_length and not region.meets_segments(
+            node[0], node[1], target[0], target[1]
+        ):
             path = [target]
             i = node_count - 1
             while i > 0:

@@ -14,7 +14,7 @@ from tetractl.core.errors import format_unit
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.trials import need_steps, one_trial
+from tetractl.view.figures.trials import one_trial, require_steps
 from tetractl_papers.swarm_history import SwarmHistory, first_swarm
 
 SHADES = 10
@@ -47,7 +47,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
         logs: Exactly one log, of a trial with at least one step.
     """
     log = one_trial(logs)
-    need_steps(log)
+    require_steps(log)
     history = first_swarm(log, SHOWN)
     unit = format_unit(log.start.setup.unit)
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)

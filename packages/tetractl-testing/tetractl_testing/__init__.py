@@ -104,9 +104,9 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     except ValidationError as error:
         details = error.errors()[0]
         field = ".".join(map(str, details["loc"]))
-        text = explain_in_words(details, details["input"])
+        description = explain_in_words(details, details["input"])
         if not field:  # of a check of the whole section
-            raise UsageError(f"{code}: {text}") from None
+            raise UsageError(f"{code}: {description}") from None
         hint = f"give this field a value with --set {field}=VALUE"
         in_python = f'give this field a value with "{field}=VALUE"'
-        raise UsageError(f"{code}: {field}: {text}", hint, in_python) from None
+        raise UsageError(f"{code}: {field}: {description}", hint, in_python) from None

@@ -40,7 +40,7 @@ from tetractl_testing.expect import (
 STEPS_MAX = 3
 """Number of control periods of a simulation before its time limit."""
 LENGTHS = (1, 12)
-"""Numbers of signals of the checked searches, each without and with a warm start."""
+"""Numbers of signals in the checked searches. Each is searched without and with a warm start."""
 EXTRA_EVALUATIONS = 5
 """Number of evaluations by which a search's budget exceeds the minimum."""
 SIGNAL_MAX = math.pi + 1e-12
@@ -82,39 +82,44 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> None:
 
 
 def _check_search(
-    optimizer: OptimizerSection, problem: Problem, length: int, start: Floats | None
+    optimizer: OptimizerSection, problem: Problem, length: int, warm_start: Floats | None
 ) -> None:
-    """Check the search for `length` signals, with a warm `start` if it is given."""
+    """Check the search for `length` signals.
+
+    With `warm_start`, the search begins from these signals, shape (length,).
+    """
     from tetractl.control.search.evaluate import compiled_costs
 
-    what = f"{length} signals: "
-    before = None if start is None else start.copy()
-    search = optimizer.search(problem, length, start, SEED, Limits())
-    again = optimizer.search(problem, length, start, SEED, Limits())
-    if start is not None:
-        what = f"{length} signals, warm start: "
-        expect_same(f"{what}not changed", [start], [before])
+    prefix = f"{length} signals: "
+    start_before = None if warm_start is None else warm_start.copy()
+    search = optimizer.search(problem, length, warm_start, SEED, Limits())
+    repeated_search = optimizer.search(problem, length, warm_start, SEED, Limits())
+    if warm_start is not None:
+        prefix = f"{length} signals, warm start: "
+        expect_same(f"{prefix}not changed", [warm_start], [start_before])
     shape = np.shape(search.signals)
     if shape != (length,):
-        expect(f"{what}signals", f"have the shape {shape} instead of ({length},)")
+        expect(f"{prefix}signals", f"have the shape {shape} instead of ({length},)")
         return
     record = (search.signals, search.history, search.evaluations)
-    record_again = (again.signals, again.history, again.evaluations)
-    expect_same(f"{what}the same key gives the same search", record, record_again)
+    record_again = (repeated_search.signals, repeated_search.history, repeated_search.evaluations)
+    expect_same(f"{prefix}the same key gives the same search", record, record_again)
     cost = float(compiled_costs(problem, 1)(search.signals[:, None])[0])
-    expect_near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
+    expect_near(f"{prefix}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
     expect_near(
-        f"{what}history: its last value is the cost", search.history[-1], search.cost, 1 + cost
+        f"{prefix}history: its last value is the cost", search.history[-1], search.cost, 1 + cost
     )
-    expect_true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
-    expect_true(f"{what}evaluations: are at least 1", search.evaluations >= 1, "there are none")
-    most = optimizer.evaluations_max
-    if most is not None:
-        text = f"{what}evaluations: are at most evaluations_max"
-        expect_true(text, search.evaluations <= most, str(search.evaluations))
+    expect_true(f"{prefix}history: never rises", np.diff(search.history) <= 0, "it rises")
+    expect_true(f"{prefix}evaluations: are at least 1", search.evaluations >= 1, "there are none")
+    evaluations_max = optimizer.evaluations_max
+    if evaluations_max is not None:
+        expectation = f"{prefix}evaluations: are at most evaluations_max"
+        expect_true(expectation, search.evaluations <= evaluations_max, str(search.evaluations))
     budget = optimizer.evaluations_min + EXTRA_EVALUATIONS
-    spent = optimizer.search(problem, length, start, SEED, Limits(budget)).evaluations
-    expect_true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
+    evaluations = optimizer.search(problem, length, warm_start, SEED, Limits(budget)).evaluations
+    expect_true(
+        f"{prefix}evaluations: in budget", evaluations <= budget, f"{evaluations} of {budget}"
+    )
 
 
 @dataclass(slots=True)
@@ -124,14 +129,14 @@ class SimulatedRun:
     Attributes:
         first: The first observed poses, shape (N, 3).
         decisions: The decisions before the first refused one.
-        wrong: Why that decision was refused. Empty if none was.
+        wrong: Why a decision was refused. Empty if no decision was refused.
         wraps: Whether the controller wraps its optimiser.
     """
 
-    first: Floats  # the poses first observed (N, 3)
+    first: Floats
     decisions: list[Any] = field(default_factory=list)
     wrong: str = ""
-    wraps: bool = False  # whether the controller wraps its optimiser
+    wraps: bool = False
 
     @property
     def plans(self) -> list[Plan]:
@@ -144,8 +149,8 @@ class SimulatedRun:
         numbers: list[Floats] = []
         for plan in self.plans:
             costs = [plan.cost, plan.target_cost, plan.obstacle_cost, plan.generator]
-            said = list(plan.numbers.values())
-            numbers.append(np.concatenate([plan.signals, plan.path.ravel(), costs, said]))
+            logged_numbers = list(plan.numbers.values())
+            numbers.append(np.concatenate([plan.signals, plan.path.ravel(), costs, logged_numbers]))
         return numbers
 
 
@@ -200,18 +205,18 @@ def clocks_watched(package: str) -> Iterator[set[str]]:
     """
     calls = set[str]()
 
-    def note(frame: FrameType, event: str, called: Any) -> None:
+    def record_call(frame: FrameType, event: str, called: Any) -> None:
         module = frame.f_globals.get("__name__", "")  # code that was generated has none
-        is_of_package = module.partition(".")[0] == package
-        if is_of_package and event == "c_call" and called in CLOCKS:
+        is_in_package = module.partition(".")[0] == package
+        if is_in_package and event == "c_call" and called in CLOCKS:
             calls.add(f"line {frame.f_lineno} calls {called.__name__}")
 
-    before = sys.getprofile()
-    sys.setprofile(note)
+    previous_profiler = sys.getprofile()
+    sys.setprofile(record_call)
     try:
         yield calls
     finally:
-        sys.setprofile(before)
+        sys.setprofile(previous_profiler)
 
 
 def check_controller(section: ControllerSection, setup: Setup) -> None:
@@ -227,44 +232,49 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     setup = replace(setup, period_s=section.period, time_limit_s=limit_s)
     section.warm_up(setup)
     package = type(section).__module__.partition(".")[0]
-    with random_watched() as used, clocks_watched(package) as clock_calls:
+    with random_watched() as generators_used, clocks_watched(package) as clock_calls:
         run = simulate_run(section, setup)
-        again = simulate_run(section, setup)
+        repeated_run = simulate_run(section, setup)
     expect("plan: returns a Plan, an Outcome or an End that can be sent and logged", run.wrong)
     if run.wrong:
         return
     _check_plans(run.plans, section, setup, run.first)
     _check_ends(run, section, setup)
-    searches = any(isinstance(value, OptimizerSection) for _, value in section)
-    expect_true("wrap: receives the optimiser", run.wraps or not searches)
-    expect_same("key: the same key gives the same decisions", run.numbers, again.numbers)
-    expect("random numbers: come only from the key", " and ".join(used))
+    has_optimizer = any(isinstance(value, OptimizerSection) for _, value in section)
+    expect_true("wrap: receives the optimiser", run.wraps or not has_optimizer)
+    expect_same("key: the same key gives the same decisions", run.numbers, repeated_run.numbers)
+    expect("random numbers: come only from the key", " and ".join(generators_used))
     expect("clock: reads only `timer`", ", ".join(sorted(clock_calls)))
 
 
 def _check_plans(
-    plans: list[Plan], section: ControllerSection, setup: Setup, first: Floats
+    plans: list[Plan], section: ControllerSection, setup: Setup, first_poses: Floats
 ) -> None:
-    """Check each plan, and check that the first one begins at the poses `first` (N, 3)."""
-    finite = [np.isfinite(plan.path).all() for plan in plans]
-    expect_true("plan: its path is finite", finite)
+    """Check each plan, and check that the first plan starts at the poses `first_poses` (N, 3)."""
+    are_finite = [np.isfinite(plan.path).all() for plan in plans]
+    expect_true("plan: its path is finite", are_finite)
     largest = [np.abs(plan.signals).max(initial=0.0) for plan in plans]
     expect_true("plan: its signals are from -pi to pi", np.array(largest) <= SIGNAL_MAX)
-    chosen = [np.array_equal(plan.signals, plan.search.signals) for plan in plans]
-    expect_true("plan: its signals are those of the chosen search", chosen)
-    consistent = [_consistent(search) for plan in plans for search in plan.searches]
-    expect_true("searches: signals, history and cost fit together", consistent)
+    are_from_search = [np.array_equal(plan.signals, plan.search.signals) for plan in plans]
+    expect_true("plan: its signals are those of the chosen search", are_from_search)
+    are_consistent = [_consistent(search) for plan in plans for search in plan.searches]
+    expect_true("searches: signals, history and cost fit together", are_consistent)
     if plans:
         path = plans[0].path
-        size = max(plans[0].target_cost, 1e-9)
-        expect_near("plan: its path starts at the observed poses", path[0], first, 1.0)
+        cost_scale = max(plans[0].target_cost, 1e-9)
+        expect_near("plan: its path starts at the observed poses", path[0], first_poses, 1.0)
         to_targets = path[-1, :, :2] - setup.targets
         distance = np.hypot(to_targets[:, 0], to_targets[:, 1]).sum()
         expect_near(
-            "plan: target_cost is the cost of the path's end", plans[0].target_cost, distance, size
+            "plan: target_cost is the cost of the path's end",
+            plans[0].target_cost,
+            distance,
+            cost_scale,
         )
-    fields = [section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans]
-    expect_true("plan: is FieldOff only if switches_field is set", fields)
+    are_allowed = [
+        section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans
+    ]
+    expect_true("plan: is FieldOff only if switches_field is set", are_allowed)
 
 
 def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> None:
@@ -272,27 +282,28 @@ def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> 
 
     A robot is at its target if it is within `arrival_tolerance`.
     """
-    count_of_plans = len(run.plans)
-    in_time = count_of_plans < len(run.decisions) and count_of_plans <= STEPS_MAX + 1
-    if count_of_plans == STEPS_MAX + 1:
-        in_time = in_time and run.decisions[-1] is Outcome.TIME_LIMIT
-    expect_true("time_limit: ends the trial", in_time)
-    robots = len(setup.names)
+    n_plans = len(run.plans)
+    ends_in_time = n_plans < len(run.decisions) and n_plans <= STEPS_MAX + 1
+    if n_plans == STEPS_MAX + 1:
+        ends_in_time = ends_in_time and run.decisions[-1] is Outcome.TIME_LIMIT
+    expect_true("time_limit: ends the trial", ends_in_time)
+    n_robots = len(setup.names)
     for fraction, arrived in ((0.95, True), (1.05, False)):
         aside = np.array([fraction * section.arrival_tolerance, 0.0])
-        poses = Poses.from_array(np.column_stack([setup.targets + aside, np.ones(robots)]))
-        all_seen = np.ones(robots, dtype=np.bool_)
+        poses = Poses.from_array(np.column_stack([setup.targets + aside, np.ones(n_robots)]))
+        all_seen = np.ones(n_robots, dtype=np.bool_)
         controller = section.build(setup, SEED)
         decision = controller.plan(Observation(0, 0, 0, poses, all_seen))
-        ended = decision is Outcome.ARRIVED
-        what = "ends the trial" if arrived else "a robot further off has not arrived"
-        expect_true(f"arrival_tolerance: {what}", ended == arrived)
+        has_ended = decision is Outcome.ARRIVED
+        expectation = "ends the trial" if arrived else "a robot further off has not arrived"
+        expect_true(f"arrival_tolerance: {expectation}", has_ended == arrived)
 
 
 def _consistent(search: Search) -> bool:
     """Check that the record of a search does not contradict itself.
 
-    Its history must be finite, never rise, and end at the cost, which must not be negative.
+    The history of costs must be finite, never rise, and end at the cost, which must not be
+    negative.
     """
     history = np.asarray(search.history)
     finite = bool(np.isfinite(history).all())

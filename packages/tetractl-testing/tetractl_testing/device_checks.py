@@ -1,13 +1,13 @@
 """Checks of a camera and an actuator.
 
-Real devices only get checks that do not move a robot. Emulated devices are checked for everything
-that the lab relies on.
+For real devices, only checks run that do not move a robot. Emulated devices are checked for
+everything that the lab relies on.
 
-    check_camera      building, opening, ten frames, health, leaving
-                      with a scene also: frames show it; a hidden robot has no pose
-    check_actuator    building; then, for emulated robots, `_SteeringChecks`: steering, a stop, a
-                      turn, one robot held, an emergency stop, and a device that is gone
-                      without robots only sending, to ports without a device
+- `check_camera` checks building, opening, ten frames, health and closing. With an emulated scene,
+  frames must also show this scene, and a hidden robot must have no pose.
+- `check_actuator` checks building. With emulated robots, `_SteeringChecks` then check steering, a
+  stop, a turn, one held robot, an emergency stop, and a disconnected device. Without robots, it
+  only checks sending, to ports without a device.
 """
 
 import math
@@ -41,7 +41,7 @@ EMULATED_TIMEOUT_S = 120.0
 REAL_TIMEOUT_S = 5.0
 """Maximum time until frames of a real camera arrive [s]."""
 FRAMES = 10
-"""Number of frames that are examined."""
+"""Number of camera frames that a check examines."""
 SILENCE_NS = SECOND // 20
 """Time for which a camera that was left is watched for new frames [ns]."""
 POSITION_ERROR_M = 0.005
@@ -57,7 +57,7 @@ TILT_MAX = 0.2
 TURNING_ERROR = 0.2
 """Maximum error of a turning rate against equation (3), relative to the largest rate."""
 SPEED_ERROR = 0.1
-"""Maximum relative difference of a speed from the spec's."""
+"""Maximum relative difference between a robot's speed and the spec's speed."""
 DIRECTION_RAD = 0.5
 """Direction in which robots are steered if the direction does not matter [rad]."""
 
@@ -85,8 +85,8 @@ class MovedRobots:
 
     Attributes:
         clock: The clock.
-        moves: Returns which robots truly move, N entries.
-        unplug: Disconnects the device. None if a missing device cannot be noticed, as in a network.
+        moves: Returns whether each robot truly moves, N entries.
+        unplug: Disconnects the device. None if nothing reports a missing device, as in a network.
         ports: Creates the actuator's ports. None for the default.
     """
 
@@ -104,11 +104,11 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         setup: The constants of the experiment.
         scene: An emulated scene that the frames must show. None for a real camera.
     """
-    calls: list[None] = []
+    wake_calls: list[None] = []
     clock = scene.clock if scene else MonotonicClock()
 
     def wake() -> None:
-        calls.append(None)
+        wake_calls.append(None)
 
     def build() -> Camera:
         if scene is None or scene.ports is None:
@@ -125,16 +125,16 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
             return
         expect_true("__enter__: returns the camera", entered is camera)
         camera.frames()  # while it connects, it may not know its clock yet
-        calls_before = len(calls)
+        calls_before = len(wake_calls)
         frames = _next_frames(camera, clock, EMULATED_TIMEOUT_S if scene else REAL_TIMEOUT_S)
         now_ns = clock.now()
-        woken = len(calls) - calls_before
+        wake_count = len(wake_calls) - calls_before
         if len(frames) < 2:
             expect("frames: at least 2", f"{len(frames)} in {now_ns / SECOND:.0f} s")
             return
         _check_frames(frames, now_ns, len(setup.names))
-        enough = woken >= len(frames) - 1
-        expect_true("wake: is called after each frame", enough, f"{woken} of {len(frames)}")
+        is_woken = wake_count >= len(frames) - 1
+        expect_true("wake: is called after each frame", is_woken, f"{wake_count} of {len(frames)}")
         _check_health(camera, healthy=scene is not None)
         if scene is not None:
             _check_scene(camera, setup, scene, frames)
@@ -145,38 +145,40 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         _check_leaving(camera, build())
 
 
-def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
+def _next_frames(camera: Camera, clock: Clock, timeout_s: float) -> list[CameraFrame]:
     """Wait for the next FRAMES frames.
 
     Args:
         camera: The camera.
         clock: The clock.
-        patience_s: Maximum time to wait [s].
+        timeout_s: Maximum time to wait [s].
 
     Returns:
         The frames, oldest first. They are fewer if they do not arrive in time.
     """
     frames: list[CameraFrame] = []
 
-    def enough() -> bool:
+    def has_enough_frames() -> bool:
         frames.extend(camera.frames())
         return len(frames) >= FRAMES
 
-    wait_for(clock, enough, patience_s)
+    wait_for(clock, has_enough_frames, timeout_s)
     return frames
 
 
-def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> None:
-    """Check the order and the number of poses of frames that arrived by `now_ns`."""
+def _check_frames(frames: Sequence[CameraFrame], now_ns: int, n_robots: int) -> None:
+    """Check the order of frames that arrived by `now_ns`, and their numbers of poses."""
     numbers = [frame.number for frame in frames]
     times = [frame.sampled_ns for frame in frames]
     is_rising = numbers == sorted(set(numbers))
     expect_true("frames: numbers rise", is_rising, str(numbers))
     expect_true("frames: times rise", times == sorted(times), str(times))
-    in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
-    expect_true("frames: are received after their exposure", in_order)
-    poses = [len(frame.poses) for frame in frames]
-    expect_true("frames: have one pose per robot", np.equal(poses, robots), f"{poses}")
+    are_in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
+    expect_true("frames: are received after their exposure", are_in_order)
+    pose_counts = [len(frame.poses) for frame in frames]
+    expect_true(
+        "frames: have one pose per robot", np.equal(pose_counts, n_robots), f"{pose_counts}"
+    )
 
 
 def _check_scene(
@@ -186,8 +188,8 @@ def _check_scene(
 
     No frame may have a fault or an unknown object. The robot that is hidden is the first one.
     """
-    healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
-    expect_true("frames: have no faults and no unknown objects", healthy)
+    are_healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
+    expect_true("frames: have no faults and no unknown objects", are_healthy)
     expect_true("damaged: 0", camera.damaged == 0, str(camera.damaged))
     poses = [pose for pose in frames[-1].poses if pose is not None]
     true_poses = scene.poses()
@@ -198,7 +200,7 @@ def _check_scene(
     scene.hide(setup.names[0])
     last = frames[-1]
 
-    def hidden() -> bool:
+    def is_hidden() -> bool:
         nonlocal last
         for frame in camera.frames():
             last = frame
@@ -206,10 +208,10 @@ def _check_scene(
 
     expect_true(
         "poses: are None for a robot that is out of sight",
-        wait_for(scene.clock, hidden, EMULATED_TIMEOUT_S),
+        wait_for(scene.clock, is_hidden, EMULATED_TIMEOUT_S),
     )
-    others_go_on = [pose is not None for pose in last.poses[1:]]
-    expect_true("poses: the other robots are still tracked", others_go_on)
+    others_tracked = [pose is not None for pose in last.poses[1:]]
+    expect_true("poses: the other robots are still tracked", others_tracked)
 
 
 def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> None:
@@ -222,15 +224,19 @@ def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> No
     """
     measured = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
     differences = measured - true_poses
-    gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
-    turned = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
-    expect_near("poses: are in the spec's coordinates", gaps_m, 0.0, 1.0, POSITION_ERROR_M)
-    expect_near("poses: have the headings of the robots", turned, 0.0, 1.0, HEADING_ERROR_RAD)
+    position_errors_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
+    heading_errors = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
+    expect_near(
+        "poses: are in the spec's coordinates", position_errors_m, 0.0, 1.0, POSITION_ERROR_M
+    )
+    expect_near(
+        "poses: have the headings of the robots", heading_errors, 0.0, 1.0, HEADING_ERROR_RAD
+    )
     heights_m = [pose.height * metres for pose in poses if pose.height is not None]
-    what = "poses: have the height of the body on the floor"
-    expect_near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
-    upright = [pose.tilt is None or 0.0 <= pose.tilt < TILT_MAX for pose in poses]
-    expect_true("poses: have the tilt of a robot on the floor", upright)
+    expectation = "poses: have the height of the body on the floor"
+    expect_near(expectation, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
+    are_upright = [pose.tilt is None or 0.0 <= pose.tilt < TILT_MAX for pose in poses]
+    expect_true("poses: have the tilt of a robot on the floor", are_upright)
 
 
 def check_actuator(
@@ -270,9 +276,9 @@ def check_actuator(
     with actuator as entered:
         expect_true("__enter__: returns the actuator", entered is actuator)
         statuses = actuator.poll(1.0)
-        problems = any(status.problems for status in statuses)
-        all_well = len(statuses) == len(setup.names) and not problems
-        expect_true("poll: returns a status of each robot, without problems", all_well)
+        has_problems = any(status.problems for status in statuses)
+        all_healthy = len(statuses) == len(setup.names) and not has_problems
+        expect_true("poll: returns a status of each robot, without problems", all_healthy)
         _check_health(actuator, healthy=True)
         expect_true("poll, check: move no robot", not any(robots.moves()))
         _SteeringChecks(actuator, section, setup, robots).check()
@@ -327,7 +333,7 @@ def _with_port(data: Any, port: str) -> Any:
                 for key, value in data.items()
             }
         case list() | tuple():
-            return [_with_port(entry, port) for entry in data]
+            return [_with_port(item, port) for item in data]
         case _:
             return data
 
@@ -340,11 +346,11 @@ def _pseudo_terminal(stack: ExitStack) -> str:
     """
     import tty  # not on Windows
 
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
-    Thread(target=_drop_input, args=(ours,), daemon=True).start()
-    stack.callback(os.close, theirs)
-    return os.ttyname(theirs)
+    our_end, device_end = os.openpty()
+    tty.setraw(device_end)
+    Thread(target=_drop_input, args=(our_end,), daemon=True).start()
+    stack.callback(os.close, device_end)
+    return os.ttyname(device_end)
 
 
 def _drop_input(port: int) -> None:
@@ -394,8 +400,8 @@ class _SteeringChecks:
         actuator = self.actuator
         self.check_sent()
         self._steer_robots(DIRECTION_RAD, self.all_robots)
-        moved = self._wait_for(lambda: all(self.robots.moves()))
-        expect_true("steer: moves the robots", moved)
+        has_moved = self._wait_for(lambda: all(self.robots.moves()))
+        expect_true("steer: moves the robots", has_moved)
         self._check_stop("stop", actuator.stop())
         self._check_turn()
         if not self.moves_all_together:
@@ -414,26 +420,33 @@ class _SteeringChecks:
         """Steer in several directions, check the record of the commands, and then stop."""
         speed = self.setup.speed
         for direction in (0.0, 1.5, -2.5, DIRECTION_RAD):
-            sent = self._steer_robots(direction, self.all_robots)
-            self._check_turning("steer: turns the robots towards the direction", sent, direction)
+            transmission = self._steer_robots(direction, self.all_robots)
+            self._check_turning(
+                "steer: turns the robots towards the direction", transmission, direction
+            )
         # of the last one
-        as_asked = sent.action == Steer(DIRECTION_RAD) and sent.delivered == self.all_robots
-        expect_true("steer: action, robots", as_asked)
-        age_ns = self.robots.clock.now() - sent.sent_ns
+        is_as_asked = (
+            transmission.action == Steer(DIRECTION_RAD)
+            and transmission.delivered == self.all_robots
+        )
+        expect_true("steer: action, robots", is_as_asked)
+        age_ns = self.robots.clock.now() - transmission.sent_ns
         expect_true("steer: is sent at once", 0 <= age_ns <= SECOND)
-        expect_near("steer: states the speeds of the spec", sent.speed, speed, speed, SPEED_ERROR)
-        wheels = [wheel for wheel in (sent.left, sent.right) if wheel is not None]
-        of_each = all(wheel.shape == speed.shape for wheel in wheels)
-        numbers = all(isinstance(value, float) for value in sent.outputs.values())
+        expect_near(
+            "steer: states the speeds of the spec", transmission.speed, speed, speed, SPEED_ERROR
+        )
+        wheels = [wheel for wheel in (transmission.left, transmission.right) if wheel is not None]
+        have_robot_shape = all(wheel.shape == speed.shape for wheel in wheels)
+        are_numbers = all(isinstance(value, float) for value in transmission.outputs.values())
         expect_true(
             "steer: states wheels of shape (N,) or None, and outputs that are numbers",
-            of_each and numbers,
+            have_robot_shape and are_numbers,
         )
-        sent = self._steer_robots(
+        transmission = self._steer_robots(
             DIRECTION_RAD, (self.moves_all_together, *self.all_robots[1:]), first_tracked=False
         )
-        finite = np.isfinite([sent.speed, sent.turning]).all()
-        expect_true("steer: works while a robot is not tracked", finite)
+        are_finite = np.isfinite([transmission.speed, transmission.turning]).all()
+        expect_true("steer: works while a robot is not tracked", are_finite)
         expect_true("steer: then stop", self.actuator.stop().action == Stop())
 
     def _check_turning(
@@ -445,7 +458,7 @@ class _SteeringChecks:
         expect_near(expectation, transmission.turning, turning, float(setup.a.max()), TURNING_ERROR)
 
     def _check_stop(self, name: str, transmission: Transmission) -> None:
-        """Check that a stop is reported as one, and that robots that can stand still do so."""
+        """Check that a stop is reported as a stop, and that robots stop if they can."""
         expect_true(f"{name}: reports that it stops the robots", transmission.action == Stop())
         if self.actuator.halts:
             is_stop = not (transmission.speed.any() or transmission.turning.any())
@@ -508,7 +521,7 @@ class _SteeringChecks:
         return self.actuator.send(Steer(direction), poses, moving, clock.now())
 
     def _wait_for(self, condition: Callable[[], bool]) -> bool:
-        """Wait for a condition, and return whether it holds within EMULATED_S seconds."""
+        """Wait for a condition, and return whether it holds within EMULATED_TIMEOUT_S."""
         return wait_for(self.robots.clock, condition, EMULATED_TIMEOUT_S)
 
     def _all_stand_still(self) -> bool:
@@ -552,7 +565,7 @@ def _check_health(device: Device, healthy: bool) -> None:
 
 
 def _check_leaving(closed_device: Device, unopened_device: Device) -> None:
-    """Check that a device can be left twice, and that another can be left before it was entered."""
+    """Check that a device can be closed twice, and also before it was opened."""
     expectation = "__exit__: can be called again, and before __enter__"
     problem = ""
     try:
@@ -569,7 +582,7 @@ def _check_members(kind: str, device: Device, protocol: type) -> None:
     Only their names are compared.
     """
     members = [name for base in protocol.__mro__ for name in vars(base)]
-    public = {name for name in members if not name.startswith("_")}
-    needed = public | {"__enter__", "__exit__"}
-    lacking = ", ".join(sorted(name for name in needed if not hasattr(device, name)))
-    expect(f"{kind}: has all members", f"lacks {lacking}" if lacking else "")
+    public_names = {name for name in members if not name.startswith("_")}
+    required_names = public_names | {"__enter__", "__exit__"}
+    missing = ", ".join(sorted(name for name in required_names if not hasattr(device, name)))
+    expect(f"{kind}: has all members", f"lacks {missing}" if missing else "")

@@ -1,4 +1,4 @@
-"""Checks of a disturbance. Each method is called in the same way as by the simulation."""
+"""Checks of a disturbance, which call each method as the simulation does."""
 
 from collections.abc import Callable
 from dataclasses import astuple, is_dataclass
@@ -34,14 +34,14 @@ FITS = {
     "measured": "finite where valid",
     "received": "not before the exposure, and None only if loses_frames is set",
 }
-"""Requirements for the result of each method, as messages state them."""
+"""Requirement for the result of each method, by the method's name, as messages state it."""
 
 
 Call = tuple[bool, bool, Floats]
-"""A call of a method.
+"""The record of a call of a method.
 
-It holds whether the result is what `FITS` says, whether the arguments are unchanged, and the
-numbers in the result.
+Its entries are: whether the result fulfils the requirement in `FITS`, whether the arguments are
+unchanged, and the numbers in the result.
 """
 
 
@@ -50,17 +50,17 @@ def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
 
     At least one method must be overridden, and no method may change its arguments.
     """
-    with random_watched() as used:
+    with random_watched() as generators_used:
         calls = _calls(section, setup)
         calls_again = _calls(section, setup)
     expect("methods: there is at least one", "" if calls else "overrides none")
-    for method, of_method in calls.items():
-        fits, unchanged, numbers = zip(*of_method, strict=True)
+    for method, method_calls in calls.items():
+        fits, unchanged, numbers = zip(*method_calls, strict=True)
         *_, numbers_again = zip(*calls_again[method], strict=True)
         expect_true(f"{method}: {FITS[method]}", fits)
         expect_true(f"{method}: does not change its arguments", unchanged, "changed")
         expect_same(f"{method}: the same seed gives the same results", numbers, numbers_again)
-    expect("random numbers: come only from rng", " and ".join(used))
+    expect("random numbers: come only from rng", " and ".join(generators_used))
 
 
 def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
@@ -77,16 +77,16 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
         method = bound.__name__
         if not overriding([disturbance], getattr(Disturbance, method)):
             return None
-        before = _flat(arguments)
+        arguments_before = _flat(arguments)
         result = bound(*arguments)
-        unchanged = np.array_equal(before, _flat(arguments), equal_nan=True)
-        fits = bool(_fits(method, section, arguments, result))
-        of_method = calls.setdefault(method, [])
-        of_method.append((fits, unchanged, _flat(result)))
+        unchanged = np.array_equal(arguments_before, _flat(arguments), equal_nan=True)
+        fulfils = bool(_fits(method, section, arguments, result))
+        method_calls = calls.setdefault(method, [])
+        method_calls.append((fulfils, unchanged, _flat(result)))
         return result
 
-    robots = len(setup.names)
-    all_robots = np.ones(robots, dtype=np.bool_)
+    n_robots = len(setup.names)
+    all_robots = np.ones(n_robots, dtype=np.bool_)
     parameters = call(disturbance.parameters, setup.a.copy(), setup.speed.copy())
     a, speed = parameters or (setup.a, setup.speed)
     poses = Poses.from_array(setup.starts.array())
@@ -95,7 +95,7 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
         now_ns = k * FRAME_NS
         now_s = now_ns / SECOND
         passed_s = 0.0 if k == 0 else FRAME_NS / SECOND
-        moving = np.full(robots, 0.0 if k == 0 else 1.0)
+        moving = np.full(n_robots, 0.0 if k == 0 else 1.0)
         poses = call(disturbance.moved, poses, moving, passed_s, now_s) or poses
         call(disturbance.varied, a.copy(), speed.copy(), now_s)
         call(disturbance.measured, poses, all_robots.copy(), now_s)
@@ -130,8 +130,8 @@ def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any)
             poses, valid = result
             return _finite(poses.array()[valid])
         case "parameters" | "varied":
-            fit = np.shape(result) == np.shape(arguments[:2]) and np.min(result) >= 0
-            return fit and _finite(result)
+            has_right_shape = np.shape(result) == np.shape(arguments[:2]) and np.min(result) >= 0
+            return has_right_shape and _finite(result)
         case "moved":
             poses, _, passed_s, _ = arguments
             strays = passed_s == 0 and (_flat(result) != _flat(poses)).any()

@@ -41,7 +41,7 @@ class Finding:
 
 
 _FINDINGS: ContextVar[list[Finding] | None] = ContextVar("findings", default=None)
-"""Where a check lists what it expects; None if it raises what does not hold."""
+"""The findings of the running check. None if a failed expectation raises AssertionError."""
 
 
 def expect(expectation: str, problem: str = "") -> None:
@@ -83,38 +83,38 @@ def findings_of(check: Callable[[], object]) -> list[Finding]:
 
 
 def expect_near(
-    expectation: str, ours: Any, theirs: Any, scale: Any, tolerance: float = TOLERANCE
+    expectation: str, actual: Any, expected: Any, scale: Any, tolerance: float = TOLERANCE
 ) -> None:
     """Expect that two results are nearly equal. The problem names the case that differs most.
 
     Args:
         expectation: What is compared.
-        ours: The result of the code under test.
-        theirs: The expected result.
+        actual: The result of the code under test.
+        expected: The expected result.
         scale: Scale of the difference.
         tolerance: Maximum difference, as a fraction of `scale`.
     """
-    arrays = [np.asarray(value, float) for value in (ours, theirs, scale)]
-    ours, theirs, scale = np.broadcast_arrays(*arrays)
-    errors = np.abs(ours - theirs) / np.maximum(scale, SCALE_MIN)
+    arrays = [np.asarray(value, float) for value in (actual, expected, scale)]
+    actual, expected, scale = np.broadcast_arrays(*arrays)
+    errors = np.abs(actual - expected) / np.maximum(scale, SCALE_MIN)
     finite_errors = np.where(np.isfinite(errors), errors, np.inf)
     worst_case = int(np.argmax(finite_errors))
     problem = ""
     if finite_errors.ravel()[worst_case] > tolerance:
-        values = f"{ours.ravel()[worst_case]:.9g} and {theirs.ravel()[worst_case]:.9g}"
+        values = f"{actual.ravel()[worst_case]:.9g} and {expected.ravel()[worst_case]:.9g}"
         problem = f"{values} in case {worst_case} of {errors.size}"
     expect(expectation, problem)
 
 
-def expect_true(expectation: str, holds: Any, problem: str = "not so") -> None:
-    """Expect that all cases are good. The problem names the first that is not.
+def expect_true(expectation: str, conditions: Any, problem: str = "not so") -> None:
+    """Expect that a condition holds in all cases. The problem names the first case that fails.
 
     Args:
         expectation: What is checked.
-        holds: Whether each case is good.
-        problem: The problem of a case that is not.
+        conditions: Whether the condition holds in each case.
+        problem: Description of a case that fails.
     """
-    holds_in_case = np.asarray(holds, bool).ravel()
+    holds_in_case = np.asarray(conditions, bool).ravel()
     failing = np.flatnonzero(~holds_in_case)
     expect(
         expectation,
@@ -122,16 +122,19 @@ def expect_true(expectation: str, holds: Any, problem: str = "not so") -> None:
     )
 
 
-def expect_same(expectation: str, ours: Any, theirs: Any) -> None:
+def expect_same(expectation: str, actual: Any, expected: Any) -> None:
     """Expect that two sequences of arrays or numbers have the same bits.
 
     Args:
         expectation: What is compared.
-        ours: The result of the code under test.
-        theirs: The expected result.
+        actual: The result of the code under test.
+        expected: The expected result.
     """
-    pairs = zip(ours, theirs, strict=True)
-    is_equal = all(np.array_equal(our, their, equal_nan=True) for our, their in pairs)
+    pairs = zip(actual, expected, strict=True)
+    is_equal = all(
+        np.array_equal(actual_item, expected_item, equal_nan=True)
+        for actual_item, expected_item in pairs
+    )
     expect(expectation, "" if is_equal else "differs bit for bit")
 
 
@@ -143,14 +146,14 @@ def random_watched() -> Iterator[list[str]]:
     """
     random.seed()
     mtrand.set_bit_generator(np.random.MT19937())
-    used = list[str]()
+    generators_used = list[str]()
     state = random.getstate()
     numpy_state = _numpy_state()
-    yield used
+    yield generators_used
     if random.getstate() != state:
-        used.append("random")
+        generators_used.append("random")
     if _numpy_state() != numpy_state:
-        used.append("numpy.random")
+        generators_used.append("numpy.random")
 
 
 def _numpy_state() -> str:

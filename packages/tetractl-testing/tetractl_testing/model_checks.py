@@ -67,7 +67,7 @@ class RandomRobots:
         return np.column_stack([self.a, self.v])
 
     def step(self, motion: Motion, turned: float = 0.0, seconds: float = STEP_S) -> XYHeading:
-        """Return the poses after a step.
+        """Compute the robots' poses after a step.
 
         Args:
             motion: The motion.
@@ -78,7 +78,7 @@ class RandomRobots:
         return motion.step(self.x, self.y, heading, self.u + turned, self.a, self.v, seconds)
 
     def distance(self, poses: XYHeading) -> Floats:
-        """Return the distance that each robot has moved [length unit]."""
+        """Compute the distance from each robot to its pose after a step [length unit]."""
         return np.hypot(poses[0] - self.x, poses[1] - self.y)
 
 
@@ -102,7 +102,7 @@ def check_motion(motion: Motion) -> None:
 
 
 def _check_step(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> None:
-    """Check the NumPy step, with which the robots have `stepped`."""
+    """Check the NumPy step of a motion, which moved the robots to the poses `stepped`."""
     expect_true("step: finite", np.isfinite(stepped), "a pose is not finite")
     expect_same("step: repeats exactly", stepped, robots.step(motion))
     distance = robots.distance(stepped)
@@ -112,14 +112,16 @@ def _check_step(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> Non
         in_reach,
         "a robot moves further than its speed allows",
     )
-    in_no_time = robots.step(motion, seconds=0.0)
+    unmoved_poses = robots.step(motion, seconds=0.0)
     expect_near(
-        "step: leaves x and y unchanged if t = 0", robots.distance(in_no_time), 0.0, robots.reach
+        "step: leaves x and y unchanged if t = 0", robots.distance(unmoved_poses), 0.0, robots.reach
     )
-    turned = robots.step(motion, turned=TURNED_BY)
+    turned_poses = robots.step(motion, turned=TURNED_BY)
     turned_course = np.arctan2(stepped[1] - robots.y, stepped[0] - robots.x) + TURNED_BY
     dx = distance * np.cos(turned_course)
-    expect_near("step: the motion turns with heading and u", turned[0] - robots.x, dx, robots.reach)
+    expect_near(
+        "step: the motion turns with heading and u", turned_poses[0] - robots.x, dx, robots.reach
+    )
 
 
 def _check_hold(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> None:
@@ -127,18 +129,20 @@ def _check_hold(motion: Motion, robots: RandomRobots, stepped: XYHeading) -> Non
     _, _, turning = rates(robots.heading, robots.u, robots.a, robots.v)
     seconds = np.full(COUNT, STEP_S)
     driving = Held(robots.u, turning, robots.heading, np.ones(COUNT))
-    driven = motion.hold(robots.x, robots.y, robots.heading, driving, robots.a, robots.v, seconds)
-    expect_near("hold: gives the same x as step", driven[0], stepped[0], robots.reach)
-    expect_near("hold: gives the same y as step", driven[1], stepped[1], robots.reach)
+    driven_poses = motion.hold(
+        robots.x, robots.y, robots.heading, driving, robots.a, robots.v, seconds
+    )
+    expect_near("hold: gives the same x as step", driven_poses[0], stepped[0], robots.reach)
+    expect_near("hold: gives the same y as step", driven_poses[1], stepped[1], robots.reach)
     standing = Held(robots.u, 0 * robots.u, robots.heading, np.zeros(COUNT))
-    held = motion.hold(
+    standing_poses = motion.hold(
         robots.x, robots.y, robots.heading, standing, robots.a, 0 * robots.v, seconds
     )
-    expect_near("hold: does not move a stopped robot", robots.distance(held), 0, robots.v)
+    expect_near("hold: does not move a stopped robot", robots.distance(standing_poses), 0, robots.v)
 
 
 def _check_advance(compiled: Any, robots: RandomRobots, stepped: XYHeading) -> None:
-    """Check that the compiled step gives the same poses as `stepped`, those of the NumPy step."""
+    """Check that the compiled step gives the same poses as the NumPy step, `stepped`."""
     constants = compiled.of(robots.parameters, STEP_S)
     if constants.rows.shape != (COUNT, constants.size):
         expect("advance: rows", f"have the shape {constants.rows.shape} instead of (N, size)")
@@ -158,7 +162,7 @@ def _check_advance(compiled: Any, robots: RandomRobots, stepped: XYHeading) -> N
 def _compiled_step(
     constants: Any, robots: RandomRobots, i: int
 ) -> tuple[float, float, float, float]:
-    """Return x, y, cos and sin of a robot's heading after all pieces of the compiled step."""
+    """Compute x, y, cos and sin of robot i's heading after all pieces of the compiled step."""
     cos_u = math.cos(robots.u[i])
     sin_u = math.sin(robots.u[i])
     heading = robots.heading[i]
@@ -238,15 +242,15 @@ def check_shape(section: ShapeSection, setup: Setup) -> None:
     expect_true(
         "corners: edges do not cross", ~_find_crossing_edges(corners), "two edges cross or touch"
     )
-    ends = np.roll(corners, -1, axis=0)
-    onward = np.roll(ends, -1, axis=0)
-    anticlockwise = signed_double_area(*corners.T, *ends.T, *onward.T) >= 0
-    convex = anticlockwise | (shape.radius == 0)
-    expect_true("corners: are convex if there is a radius", convex, "turns right")
+    next_corners = np.roll(corners, -1, axis=0)
+    corners_after_next = np.roll(next_corners, -1, axis=0)
+    is_anticlockwise = signed_double_area(*corners.T, *next_corners.T, *corners_after_next.T) >= 0
+    is_convex = is_anticlockwise | (shape.radius == 0)
+    expect_true("corners: are convex if there is a radius", is_convex, "turns right")
     outline = shape.outline()
     message = "the outline encloses no area, or runs clockwise"
-    after = np.roll(outline, -1, axis=0)
-    twice_area = np.sum(outline[:, 0] * after[:, 1] - after[:, 0] * outline[:, 1])
+    next_points = np.roll(outline, -1, axis=0)
+    twice_area = np.sum(outline[:, 0] * next_points[:, 1] - next_points[:, 0] * outline[:, 1])
     expect_true("outline: anticlockwise", twice_area > 0, message)
     largest_extent = float(np.ptp(outline, axis=0).max())
     gap = shape.distance(*outline.T)
@@ -259,9 +263,10 @@ def _find_crossing_edges(corners: Floats) -> Bools:
     Edges that share a corner do not cross.
     """
     count = len(corners)
-    ends = np.roll(corners, -1, axis=0)
+    next_corners = np.roll(corners, -1, axis=0)
     i, j = np.triu_indices(count, 2)
     has_no_common_corner = (j - i) % count < count - 1
     return (
-        segments_meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & has_no_common_corner
+        segments_meet(*corners[i].T, *next_corners[i].T, *corners[j].T, *next_corners[j].T)
+        & has_no_common_corner
     )

@@ -22,7 +22,7 @@ from tetractl.core.plan import Outcome
 from tetractl.run.hand import HandController
 from tetractl.run.interrupt import Interrupt
 from tetractl.spec.load import parse_spec
-from tetractl.view.terminal.hand_keys import AGAIN, GO_ON
+from tetractl.view.terminal.hand_keys import CONTINUE_KEY, REPEAT_KEY
 
 SPEC = parse_spec(
     """
@@ -263,10 +263,10 @@ def test_an_interruption_before_any_direction_is_no_missing_direction(game, caps
     ("answers", "trials_run"),
     [
         ([""], ["you"]),
-        ([GO_ON, GO_ON], ["you", "controller"]),
-        ([AGAIN, AGAIN, ""], ["you", "you", "you"]),
-        ([GO_ON, AGAIN, GO_ON], ["you", "controller", "you"]),
-        ([AGAIN, GO_ON, ""], ["you", "you", "controller"]),
+        ([CONTINUE_KEY, CONTINUE_KEY], ["you", "controller"]),
+        ([REPEAT_KEY, REPEAT_KEY, ""], ["you", "you", "you"]),
+        ([CONTINUE_KEY, REPEAT_KEY, CONTINUE_KEY], ["you", "controller", "you"]),
+        ([REPEAT_KEY, CONTINUE_KEY, ""], ["you", "you", "controller"]),
     ],
 )
 def test_keys_between_trials_choose_the_next_one(game, monkeypatch, answers, trials_run):
@@ -292,7 +292,7 @@ def test_keys_between_trials_choose_the_next_one(game, monkeypatch, answers, tri
 def test_no_trial_follows_once_the_game_is_over(game, monkeypatch):
     def you(*_):
         game.over = True
-        return AGAIN
+        return REPEAT_KEY
 
     monkeypatch.setattr(play, "_run_own_trial", you)
     _play_on_terminal(game, None, 1.0)

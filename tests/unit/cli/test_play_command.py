@@ -41,10 +41,10 @@ def game(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "has_keys", lambda: done.terminal)
     monkeypatch.setattr(module.ui, "has_keys", lambda: done.terminal)
     monkeypatch.setattr(
-        "tetractl.view.terminal.screen.shows_pictures", lambda console: done.pictures
+        "tetractl.view.terminal.screen.can_show_screens", lambda console: done.pictures
     )
     monkeypatch.setattr(
-        "tetractl.view.terminal.hand_keys.read_script",
+        "tetractl.view.terminal.hand_keys.read_key_script",
         lambda path: SimpleNamespace(ask=lambda *_: None),
     )
     monkeypatch.setattr("tetractl.control.methods.build.warm_up", lambda *_: None)

@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.report.trial_data import round_to_lists, trial_data
-from tetractl.view.player import end_ns
+from tetractl.view.player import find_end_ns
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_frames_are_shown_at_most_15_times_a_second_with_the_first_and_the_last(
     shown = [time for time in log.frames_s.round(3) if time in data["t"]]
     assert data["t"] == shown
     assert data["t"][0] == pytest.approx(log.frames_s[0], abs=1e-3)
-    until = log.mocap_ns <= end_ns(log)
+    until = log.mocap_ns <= find_end_ns(log)
     assert data["t"][-1] == pytest.approx(log.frames_s[until][-1], abs=1e-3)
     slots = np.floor((np.array(data["t"]) - data["t"][0]) * SHOWN_HZ + 1e-6)
     assert len(set(slots[:-1])) == len(slots) - 1

@@ -13,7 +13,7 @@ from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 from tetractl.verification.verify import verify
 from tetractl.view.player import Recording
-from tetractl.view.terminal.replay_screen import step_line
+from tetractl.view.terminal.replay_screen import format_step
 
 SLOW = ("controller.period=0.2", "controller.signal_periods=1")  # 5 Hz
 SILENT = (
@@ -86,7 +86,7 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
     recording = Recording(log)
     for k, text in ((turns[0], "direction turning on the spot"), (turns[-1] + 1, " deg")):
-        assert text in step_line(recording, k)
+        assert text in format_step(recording, k)
     assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning on the spot"
     starts = [k for k in turns if k - 1 not in turns]
     turning = "all robots turn on the spot: they have no safe path ahead"

@@ -24,7 +24,7 @@ from tetractl.view.video import (
     _ErrorCurve,
     _Numbers,
     _Scene,
-    check_file,
+    check_video_file,
     write_video,
 )
 
@@ -70,12 +70,12 @@ def test_a_video_lasts_as_long_as_the_trial(tmp_path, log, ending):
 
 def test_each_picture_shows_its_instant(log):
     frames = VideoFrames(log, WIDTH)
-    start, later, start_again = (frames.at(t).copy() for t in (0.0, 0.9, 0.0))
+    start, later, start_again = (frames.draw_at(t).copy() for t in (0.0, 0.9, 0.0))
     assert start.shape[1:] == (WIDTH, 3)
     assert np.array_equal(start, start_again)
     assert (start != later).any()
     still = VideoFrames(replace(log, steps=log.steps[:1]), WIDTH)
-    assert still.at(0.0).any()
+    assert still.draw_at(0.0).any()
 
 
 def test_a_long_trial_plays_faster(tmp_path, log, monkeypatch):
@@ -88,7 +88,7 @@ def test_a_long_trial_plays_faster(tmp_path, log, monkeypatch):
 def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda program: None)
     with pytest.raises(UsageError, match="needs ffmpeg, which is not installed"):
-        check_file(tmp_path / "video.mp4")
+        check_video_file(tmp_path / "video.mp4")
 
 
 def test_a_video_that_fails_leaves_no_file(tmp_path, log, monkeypatch):
@@ -151,7 +151,7 @@ def scene_of(log):
 def test_robots_are_drawn_at_their_poses_with_their_trail_and_plan(made_up):
     scene = scene_of(made_up)
     recording = Recording(made_up)
-    moment = recording.at(int(recording.step_ns[3]))
+    moment = recording.moment_at(int(recording.step_ns[3]))
     scene.show(moment)
     for robot, (x, y, heading) in enumerate(moment.poses):
         corners = scene._bodies[robot].get_xy()[:4]
@@ -169,7 +169,7 @@ def test_robots_are_drawn_at_their_poses_with_their_trail_and_plan(made_up):
 def test_at_the_end_no_plan_is_drawn(made_up):
     scene = scene_of(made_up)
     recording = Recording(made_up)
-    scene.show(recording.at(recording.end_ns))
+    scene.show(recording.moment_at(recording.end_ns))
     assert [len(plan.get_xdata()) for plan in scene._plans] == [0, 0]
 
 
@@ -182,7 +182,7 @@ def test_a_robot_is_as_large_as_its_wheels_are_apart_and_never_invisible(made_up
 
 def test_long_trails_are_thinned_to_some_hundred_points(made_up):
     scene = scene_of(made_up)
-    moment = Recording(made_up).at(int(made_up.mocap_ns[5]))
+    moment = Recording(made_up).moment_at(int(made_up.mocap_ns[5]))
     for count, shown in ((600, 600), (1199, 1199), (1200, 600), (6000, 600)):
         long = replace(moment, trail=np.zeros((count, 2, 2)))
         scene.show(long)
@@ -198,7 +198,7 @@ def test_the_curve_is_coloured_up_to_the_instant(made_up):
     assert whole.get_ydata().tolist() == recording.totals.tolist()
     assert axes.get_ylim() == (0, pytest.approx(1.05 * recording.totals.max()))
     assert axes.get_xlim() == (0, made_up.elapsed_s(recording.end_ns))
-    moment = recording.at(int(recording.step_ns[2]))
+    moment = recording.moment_at(int(recording.step_ns[2]))
     curve.show(moment)
     x, y = curve.line.get_data()
     assert x.tolist() == [*made_up.steps_s[:3], moment.time_s]
@@ -208,7 +208,7 @@ def test_the_curve_is_coloured_up_to_the_instant(made_up):
 def words_at(log, time_ns):
     _, _, _, axes = _create_figure(log.start.setup.arena, WIDTH)
     words = _Numbers(axes, log.start.setup.names, ["red", "blue"])
-    moment = Recording(log).at(time_ns)
+    moment = Recording(log).moment_at(time_ns)
     words.show(moment)
     return [line.get_text() for line in words.lines], words.arrow.get_data(), moment
 

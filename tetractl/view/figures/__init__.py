@@ -10,14 +10,14 @@ The tests draw every figure and find texts that hide one another. This is a whol
 
     from tetractl.core.errors import unit_of
     from tetractl.view import style
-    from tetractl.view.figures.curves import SINCE, Curve, draw_curves, name_curves
-    from tetractl.view.figures.trials import need_frames, one_trial
+    from tetractl.view.figures.curves import TIME_LABEL, Curve, draw_curves, name_curves
+    from tetractl.view.figures.trials import require_frames, one_trial
 
     @style.styled()
     def apart_figure(logs):
         '''Draw the distance between the first robot and each other one over time.'''
         log = one_trial(logs)
-        need_frames(log)
+        require_frames(log)
         setup = log.start.setup
         figure = style.figure(style.PAGE_IN, 2.5)
         axes = figure.subplots()
@@ -28,8 +28,8 @@ The tests draw every figure and find texts that hide one another. This is a whol
             curves.append(Curve(gaps, look["color"], setup.names[robot], f"robot-{robot}"))
         draw_curves(axes, log.frames_s, curves)
         name_curves(axes, curves)
-        axes.set(xlabel=SINCE, ylabel=f"distance from {setup.names[0]} [{unit_of(setup.unit)}]")
-        return figure
+        axes.set(xlabel=TIME_LABEL, ylabel=f"distance from {setup.names[0]}
+        [{unit_of(setup.unit)}]") return figure
 
 `TrialLog` has the positions and times; `curves` draws and names one curve of each robot, `trials`
 refuses what a figure cannot show, `axes` has logarithmic axes and `style` what all figures share.

@@ -15,32 +15,32 @@ from matplotlib.ticker import (
 
 from tetractl.core.poses import Floats
 
-LOG_FROM = 30
+LOG_RATIO_MIN = 30
 """Ratio of the largest error to the smallest from which on their axis is logarithmic."""
 EVEN_RATIO = 5
 """Ratio of the limits of a logarithmic axis below which its ticks are even."""
 MARKED_RATIO = 1000
 """Ratio below which there are ticks at 1, 2 and 5 of each decade."""
-DECIMAL_FROM = 1e-3
+DECIMAL_MIN = 1e-3
 """Minimum lower limit of a logarithmic axis whose ticks are decimal."""
-DECIMAL_TO = 1e5
+DECIMAL_MAX = 1e5
 """Maximum upper limit of a logarithmic axis whose ticks are decimal."""
 FLAT_RATIO = 1.1
 """Maximum ratio of values that count as equal."""
-FLAT_ROOM = 1.05
+FLAT_MARGIN_FACTOR = 1.05
 """Factor by which the axis extends beyond values that count as equal."""
-NO_VALUES = (0.1, 10.0)
+EMPTY_LIMITS = (0.1, 10.0)
 """Limits of a logarithmic axis without values."""
 CHARACTER_IN = 0.05
 """Width of a character of a category's name [in]."""
 LINE_IN = 0.1
 """Height of a line of a category's name [in]."""
-NAMES_MANY = 50
+SMALL_NAMES_MIN = 50
 """Number of categories from which on their names are small."""
 NAME_PT = 6
-"""Font size of the names of fewer than NAMES_MANY categories [pt]."""
+"""Font size of the names of fewer than SMALL_NAMES_MIN categories [pt]."""
 SMALL_NAME_PT = 4
-"""Font size of the names of NAMES_MANY categories or more [pt]."""
+"""Font size of the names of SMALL_NAMES_MIN categories or more [pt]."""
 
 
 def positive(values: Floats) -> Floats:
@@ -52,7 +52,7 @@ def positive(values: Floats) -> Floats:
     return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 
 
-def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
+def set_log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
     """Make the y axis of a figure logarithmic, with limits and ticks that suit some values.
 
     The ticks are even if the limits have a ratio below 5, at 1, 2 and 5 of each decade below 1000,
@@ -75,7 +75,7 @@ def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     else:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0,)))
-    if (lower_limit >= DECIMAL_FROM and upper_limit <= DECIMAL_TO) or ratio < EVEN_RATIO:
+    if (lower_limit >= DECIMAL_MIN and upper_limit <= DECIMAL_MAX) or ratio < EVEN_RATIO:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     else:
         axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
@@ -91,23 +91,23 @@ def _log_limits(values: Floats, below: float, above: float) -> tuple[float, floa
         above: How far the axis extends above the values, as a fraction of their range.
     """
     finite = values[np.isfinite(values)]
-    lower_limit, upper_limit = NO_VALUES
+    lower_limit, upper_limit = EMPTY_LIMITS
     if len(finite):
         lower_limit = float(finite.min())
         upper_limit = float(finite.max())
     if upper_limit <= FLAT_RATIO * lower_limit:
-        lower_limit = lower_limit / FLAT_ROOM
-        upper_limit = upper_limit * FLAT_ROOM
+        lower_limit = lower_limit / FLAT_MARGIN_FACTOR
+        upper_limit = upper_limit * FLAT_MARGIN_FACTOR
     ratio = upper_limit / lower_limit
     return lower_limit / ratio**below, upper_limit * ratio**above
 
 
-def spans_orders(errors: Floats) -> bool:
+def needs_log_axis(errors: Floats) -> bool:
     """Decide whether errors (n,) need a logarithmic axis.
 
     On an axis that begins at 0, the smallest errors could not be distinguished from 0.
     """
-    return bool(0 < LOG_FROM * errors.min() <= errors.max())
+    return bool(0 < LOG_RATIO_MIN * errors.min() <= errors.max())
 
 
 def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
@@ -130,7 +130,7 @@ def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
     else:
         labels = [name.replace("\n", ", ") for name in names]
         below_in = CHARACTER_IN * max(map(len, names))
-    font_size = NAME_PT if len(names) < NAMES_MANY else SMALL_NAME_PT
+    font_size = NAME_PT if len(names) < SMALL_NAMES_MIN else SMALL_NAME_PT
     axes.set_xticks(range(len(names)), labels)
     axes.tick_params(
         axis="x", length=0, rotation=0 if fits_horizontally else 90, labelsize=font_size

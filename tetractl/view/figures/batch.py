@@ -29,8 +29,8 @@ from tetractl.statistics.estimate import (
 from tetractl.statistics.open_batch import is_counted
 from tetractl.statistics.tables import GIVEN_DIRECTIONS
 from tetractl.view import style
-from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
-from tetractl.view.figures.trials import by_folder
+from tetractl.view.figures.axes import name_categories, needs_log_axis, set_log_axis
+from tetractl.view.figures.trials import group_by_folder
 
 DOTS_SHIFT = 0.14
 """Shift of dots to the left of their category's centre [categories]."""
@@ -45,7 +45,7 @@ LARGE_DOTS_MAX = 100
 DOT_PT2 = 16
 """Area of a dot [pt^2]."""
 SMALL_DOT_PT2 = 4
-"""Area of a dot if there are more than MANY trials [pt^2]."""
+"""Area of a dot if there are more than LARGE_DOTS_MAX trials [pt^2]."""
 SHADED_MAX = 4
 """Maximum number of batches whose bands are shaded: more would hide one another."""
 MARGIN = 0.05
@@ -93,11 +93,11 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
         LogError: If no trial has a known error.
     """
     batches: list[BatchErrors] = []
-    for name, trials in by_folder(logs).items():
+    for name, trials in group_by_folder(logs).items():
         errors = [(log.log, log.result.total_error) for log in trials if log.result is not None]
-        finite = [(path, error) for path, error in errors if math.isfinite(error)]
-        totals = np.array([error for _, error in finite])
-        paths = [path for path, _ in finite]
+        known_errors = [(path, error) for path, error in errors if math.isfinite(error)]
+        totals = np.array([error for _, error in known_errors])
+        paths = [path for path, _ in known_errors]
         batches.append(BatchErrors(name, totals, paths, trials[0].experiment.gives_directions))
     return _draw_panels(batches, logs[0].experiment, {}, narrow=False)
 
@@ -145,34 +145,34 @@ def _draw_panels(
         raise LogError("there is no complete trial to plot")
     if narrow:
         figure = style.figure(NARROW_IN, 6.0)
-        dots, distributions_panel = figure.subplots(2, 1)
+        dots_panel, distributions_panel = figure.subplots(2, 1)
         dots_width_in = 0.8 * NARROW_IN
     else:
         figure = style.figure(style.PAGE_IN, 3.0)
-        dots, distributions_panel = figure.subplots(1, 2, width_ratios=[1, 1.1])
+        dots_panel, distributions_panel = figure.subplots(1, 2, width_ratios=[1, 1.1])
         dots_width_in = 0.4 * style.PAGE_IN
-    error = f"total error [{format_unit(experiment.units.length)}]"
-    style.panel(dots, "a", "each trial, and the mean", y=error)
-    style.panel(distributions_panel, "b", "fraction of trials with at most an error", error)
+    error_label = f"total error [{format_unit(experiment.units.length)}]"
+    style.panel(dots_panel, "a", "each trial, and the mean", y=error_label)
+    style.panel(distributions_panel, "b", "fraction of trials with at most an error", error_label)
     totals = np.concatenate([batch.totals for batch in with_errors])
     reference = experiment.reference
     if reference is not None:
         totals = np.append(totals, reference.mean)
-    is_logarithmic = spans_orders(totals)
-    labels = _draw_categories(dots, with_errors, links)
+    is_logarithmic = needs_log_axis(totals)
+    labels = _draw_categories(dots_panel, with_errors, links)
     if reference is not None:
         published = published_distribution(reference.n, reference.mean, reference.std)
-        _draw_mean(dots, len(labels), published, style.GREY)
+        _draw_mean(dots_panel, len(labels), published, style.GREY)
         totals = np.append(totals, reference.mean + reference.std)
         labels.append(f"published\nn = {reference.n}")
-    name_categories(dots, labels, dots_width_in)
+    name_categories(dots_panel, labels, dots_width_in)
     _draw_distributions(distributions_panel, with_errors)
     if is_logarithmic:
-        log_axis(dots, totals, MARGIN, MARGIN)
-        _share_log_axis(distributions_panel, dots)
+        set_log_axis(dots_panel, totals, MARGIN, MARGIN)
+        _share_log_axis(distributions_panel, dots_panel)
     else:
-        dots.set_ylim(bottom=0)
-    style.grid_of_heights(dots)
+        dots_panel.set_ylim(bottom=0)
+    style.grid_of_heights(dots_panel)
     curves, _ = distributions_panel.get_legend_handles_labels()
     _add_legend(figure, curves if len(with_errors) > 1 else [], 2 if narrow else 4)
     return figure
@@ -185,8 +185,8 @@ def _share_log_axis(panel: Axes, dots: Axes) -> None:
     """
     panel.set_xscale("log")
     lower_limit, _ = dots.get_ylim()
-    _, end = panel.get_xlim()
-    ticks = [tick for tick in dots.get_yticks() if lower_limit <= tick <= end]
+    _, upper_limit = panel.get_xlim()
+    ticks = [tick for tick in dots.get_yticks() if lower_limit <= tick <= upper_limit]
     panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     panel.set_xticks([], minor=True)
     panel.set_xlim(left=lower_limit)
@@ -278,7 +278,7 @@ def _draw_mean(axes: Axes, x: float, errors: Distribution, color: str) -> None:
     )
 
 
-def band_half_height(count: int) -> float:
+def compute_band_half_height(count: int) -> float:
     """Compute half the height of the 95 % confidence band of a distribution function.
 
     The band holds for the whole function at once (Dvoretzky, Kiefer and Wolfowitz).
@@ -295,16 +295,16 @@ def band_half_height(count: int) -> float:
 def _draw_distributions(axes: Axes, batches: Sequence[BatchErrors]) -> None:
     """Draw the empirical distribution function of each batch's total errors.
 
-    Its confidence band is left out if there are more than SHADED batches, or too few trials for
+    Its confidence band is left out if there are more than SHADED_MAX batches, or too few trials for
     it.
     """
-    end = LIMIT_FACTOR * max(float(batch.totals.max()) for batch in batches)
+    end_error = LIMIT_FACTOR * max(float(batch.totals.max()) for batch in batches)
     for number, batch in enumerate(batches):
         batch_style = style.batch_look(number)
-        n = len(batch.totals)
-        x = np.concatenate([[0.0], np.sort(batch.totals), [end]])
-        fraction = np.append(np.arange(n + 1), n) / n
-        half_height = band_half_height(n)
+        n_trials = len(batch.totals)
+        x = np.concatenate([[0.0], np.sort(batch.totals), [end_error]])
+        fraction = np.append(np.arange(n_trials + 1), n_trials) / n_trials
+        half_height = compute_band_half_height(n_trials)
         if len(batches) <= SHADED_MAX and half_height < 1:
             lower_curve = np.clip(fraction - half_height, 0, 1)
             upper_curve = np.clip(fraction + half_height, 0, 1)
@@ -318,4 +318,4 @@ def _draw_distributions(axes: Axes, batches: Sequence[BatchErrors]) -> None:
                 lw=0,
             )
         axes.step(x, fraction, where="post", lw=1.3, label=batch.name, gid="share", **batch_style)
-    axes.set(xlim=(0, end or 1.0), ylim=(0, LIMIT_FACTOR))
+    axes.set(xlim=(0, end_error or 1.0), ylim=(0, LIMIT_FACTOR))

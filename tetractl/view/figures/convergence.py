@@ -12,16 +12,16 @@ from tetractl.core.plan import Search
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import log_axis, positive
-from tetractl.view.figures.trials import need_steps, one_trial
+from tetractl.view.figures.axes import positive, set_log_axis
+from tetractl.view.figures.trials import one_trial, require_steps
 
 HEIGHT_IN = 2.75
 """Height of the figure [in]."""
 NOTE_BELOW_PT = 9
 """Distance of the note below the end of the search [pt]."""
-ROOM = (0.22, 0.05)
+RANGE_MARGINS = (0.22, 0.05)
 """Room below and above the curves, as fractions of their range: for the note."""
-OVER_PANEL = {"loc": "lower right", "bbox_to_anchor": (1.02, 0.985), "borderaxespad": 0.3}
+LEGEND_PLACEMENT = {"loc": "lower right", "bbox_to_anchor": (1.02, 0.985), "borderaxespad": 0.3}
 """Place of the legend next to the title."""
 
 
@@ -32,7 +32,7 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
     This is J(u_gb) in the paper's Figure 3.
     """
     log = one_trial(logs)
-    need_steps(log)
+    require_steps(log)
     step = log.steps[0]
     figure = style.figure(style.COLUMN_IN, HEIGHT_IN)
     axes = figure.subplots()
@@ -48,35 +48,35 @@ def _draw_searches(axes: Axes, step: Step) -> None:
     A note marks where the chosen search stopped.
     """
     chosen = step.plan.search
-    others = [search for search in step.plan.searches if search is not chosen]
-    for search in others:
+    other_searches = [search for search in step.plan.searches if search is not chosen]
+    for search in other_searches:
         axes.plot(positive(search.history), color=style.FAINT, lw=0.6, zorder=1)
     axes.plot(positive(chosen.history), "*-", color=style.WHOLE, ms=4, mew=0, lw=1.0, zorder=3)
     _mark_stop(axes, chosen, max(len(search.history) for search in step.plan.searches) - 1)
     histories = [positive(search.history) for search in step.plan.searches]
-    log_axis(axes, np.concatenate(histories), *ROOM)
+    set_log_axis(axes, np.concatenate(histories), *RANGE_MARGINS)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     signs = [style.sign("chosen", color=style.WHOLE, ls="-", marker="*", ms=5, mew=0)]
-    count = len(step.plan.searches) - 1
-    if count:
-        signs.append(style.sign(f"{count} other horizons", color=style.FAINT, ls="-"))
-    axes.legend(handles=signs, ncols=2, **OVER_PANEL)
+    n_others = len(step.plan.searches) - 1
+    if n_others:
+        signs.append(style.sign(f"{n_others} other horizons", color=style.FAINT, ls="-"))
+    axes.legend(handles=signs, ncols=2, **LEGEND_PLACEMENT)
 
 
-def _mark_stop(axes: Axes, search: Search, longest: int) -> None:
+def _mark_stop(axes: Axes, search: Search, iterations_max: int) -> None:
     """Mark the end of a search, with a note on the side where there is space.
 
     `longest` is the number of iterations of the longest search.
     """
     iteration = len(search.history) - 1
-    end = (iteration, positive(search.history)[-1])
-    axes.plot(*end, "o", ms=8, mfc="none", mec=style.INK, mew=1.2, zorder=4)
+    end_point = (iteration, positive(search.history)[-1])
+    axes.plot(*end_point, "o", ms=8, mfc="none", mec=style.INK, mew=1.2, zorder=4)
     axes.annotate(
         f"{search.length} signals: stopped\nat iteration {iteration} ({search.stopped})",
-        end,
+        end_point,
         (0, -NOTE_BELOW_PT),
         textcoords="offset points",
-        ha="right" if iteration > longest / 2 else "left",
+        ha="right" if iteration > iterations_max / 2 else "left",
         va="top",
         fontsize=style.NOTE_PT,
         color=style.INK,

@@ -12,23 +12,30 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.trials import NUMBERED, robot_labels
-from tetractl.view.player import end_ns
+from tetractl.view.figures.trials import NUMBERED_MIN, robot_labels
+from tetractl.view.player import find_end_ns
 
 NAME_IN = 0.1
 """Height of a robot's name next to its curve [in]."""
 NAME_PT = 6.5
-NAME_OF_MANY_PT = 5.5
-"""Font size of names for NUMBERED curves or more [points]. NAME_PT is that for fewer."""
-SINCE = "time since the first command [s]"
+SMALL_NAME_PT = 5.5
+"""Font size of names for NUMBERED_MIN curves or more [points]. NAME_PT is that for fewer."""
+TIME_LABEL = "time since the first command [s]"
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One curve of a figure: values (M,) over time, with a name and a colour.
+    """One curve of a figure: values over time, with a name and a colour.
 
-    `band` are the lower and the upper edge of a shaded band around the curve, shape (2, M), or
-    None. `name` is written next to the axes. `key` is the curve's entry in a legend.
+    Attributes:
+        values: The values, shape (M,).
+        color: Colour of the curve.
+        name: Name that is written next to the axes.
+        gid: Id of the curve's element in an SVG file.
+        band: Lower and upper edge of a shaded band around the curve, shape (2, M). None for no
+            band.
+        key: The curve's entry in a legend. Empty for no entry.
+        width: Width of the line [points].
     """
 
     values: Floats
@@ -52,8 +59,8 @@ def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
         if curve.band is not None:
             axes.fill_between(time_s, *curve.band, color=curve.color, alpha=0.2, lw=0)
         label = curve.key or f"_{curve.gid}"
-        look = {"color": curve.color, "lw": curve.width, "label": label, "gid": curve.gid}
-        axes.plot(time_s, curve.values[: len(time_s)], **look)
+        line_style = {"color": curve.color, "lw": curve.width, "label": label, "gid": curve.gid}
+        axes.plot(time_s, curve.values[: len(time_s)], **line_style)
 
 
 def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
@@ -61,11 +68,11 @@ def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
 
     The curve with the highest last value comes first.
     """
-    falling = np.argsort([curve.values[-1] for curve in curves])[::-1]
-    named = [curves[index] for index in falling]
+    by_last_value = np.argsort([curve.values[-1] for curve in curves])[::-1]
+    named = [curves[index] for index in by_last_value]
     axes.legend(
         handles=[style.sign(curve.name, color=curve.color, ls="-") for curve in named],
-        fontsize=NAME_PT if len(curves) < NUMBERED else NAME_OF_MANY_PT,
+        fontsize=NAME_PT if len(curves) < NUMBERED_MIN else SMALL_NAME_PT,
         loc="center left",
         bbox_to_anchor=(1.0, 0.5),
         borderpad=0.0,
@@ -74,7 +81,7 @@ def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
     )
 
 
-def robot_curves(
+def create_robot_curves(
     setup: Setup,
     values: Floats,
     band: Floats | None = None,
@@ -87,23 +94,23 @@ def robot_curves(
     Args:
         setup: The constants of the experiment.
         values: The values, shape (M, N).
-        band: Lower and upper edge of a band, shape (2, M, N). None for no band. NUMBERED or more
-            robots have no bands.
+        band: Lower and upper edge of a band, shape (2, M, N). None for no band. NUMBERED_MIN or
+            more robots have no bands.
         show: Formats the last value. None to leave it out.
     """
     colors = robot_colors(setup.names, setup.colors)
     labels = robot_labels(setup.names)
     curves = []
     for robot, (color, label) in enumerate(zip(colors, labels, strict=True)):
-        of_robot = values[:, robot]
-        name = label if show is None else f"{label} {show(of_robot[-1])}"
-        curve = Curve(of_robot, color, name, f"robot-{robot}")
-        if band is not None and len(labels) < NUMBERED:
+        robot_values = values[:, robot]
+        name = label if show is None else f"{label} {show(robot_values[-1])}"
+        curve = Curve(robot_values, color, name, f"robot-{robot}")
+        if band is not None and len(labels) < NUMBERED_MIN:
             curve = replace(curve, band=band[..., robot])
         curves.append(curve)
     return curves
 
 
 def end_s(log: TrialLog) -> float:
-    """Return the time from the first direction of a trial to its end [s], at least 1e-9."""
-    return max((end_ns(log) - log.began_ns) / SECOND, 1e-9)
+    """Compute the time from the first direction of a trial to its end [s], at least 1e-9."""
+    return max((find_end_ns(log) - log.began_ns) / SECOND, 1e-9)

@@ -60,11 +60,11 @@ def _note_on_incomplete(logs: "Sequence[TrialLog]") -> str:
     The text says how a single trial ended, or how many trials are incomplete. It is empty if all
     trials are complete.
     """
-    from tetractl.view.figures.trials import unfinished
+    from tetractl.view.figures.trials import describe_incompleteness
 
     if len(logs) == 1:
-        return unfinished(logs[0])
-    incomplete = sum(1 for log in logs if unfinished(log))
+        return describe_incompleteness(logs[0])
+    incomplete = sum(1 for log in logs if describe_incompleteness(log))
     if not incomplete:
         return ""
     exclusion = "" if incomplete == len(logs) else ", not in the means"

@@ -22,17 +22,17 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import log_axis, positive
+from tetractl.view.figures.axes import positive, set_log_axis
 from tetractl.view.figures.curves import (
     NAME_IN,
-    SINCE,
+    TIME_LABEL,
     Curve,
+    create_robot_curves,
     draw_curves,
     end_s,
     name_curves,
-    robot_curves,
 )
-from tetractl.view.figures.trials import NUMBERED, need_steps, one_trial
+from tetractl.view.figures.trials import NUMBERED_MIN, one_trial, require_steps
 
 PI_TICKS = {
     "ticks": [-np.pi, -np.pi / 2, 0, np.pi / 2, np.pi],
@@ -81,33 +81,33 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     Solve times are shown next to the control period. Each estimated quantity has a panel, with a
     band of +- one standard deviation: turning rate a and speed as differences from the spec's
     values [%], with a dotted line at a simulation's true value; the heading bias [rad]; the dead
-    time [ms]. NUMBERED or more robots have no bands.
+    time [ms]. NUMBERED_MIN or more robots have no bands.
     """
     log = one_trial(logs)
-    need_steps(log)
+    require_steps(log)
     time_s = log.steps_s
-    estimated = np.array([step.plan.estimate is not None for step in log.steps])
-    quantities = _estimated_quantities(log) if estimated.any() else []
+    has_estimate = np.array([step.plan.estimate is not None for step in log.steps])
+    quantities = _estimated_quantities(log) if has_estimate.any() else []
     row_in = ROW_IN
     if quantities:
         row_in = max(ROW_IN, ABOVE_NAMES_IN + NAME_IN * len(log.start.setup.names))
-    panels = 2 + len(quantities)
-    rows = math.ceil(panels / 2)
-    figure = style.figure(style.PAGE_IN, rows * row_in)
-    all_axes = list(figure.subplots(rows, 2, squeeze=False, sharex=True).ravel())
-    for unused in all_axes[panels:]:
+    n_panels = 2 + len(quantities)
+    n_rows = math.ceil(n_panels / 2)
+    figure = style.figure(style.PAGE_IN, n_rows * row_in)
+    all_axes = list(figure.subplots(n_rows, 2, squeeze=False, sharex=True).ravel())
+    for unused in all_axes[n_panels:]:
         unused.set_axis_off()
     all_axes[0].set_xlim(0, end_s(log))
     _draw_signal(all_axes[0], log, time_s)
     _draw_solve_times(all_axes[1], log, time_s)
     for axes, letter, quantity in zip(all_axes[2:], "cdef", quantities, strict=False):
-        style.panel(axes, letter, quantity.title, SINCE, quantity.label)
-        _draw_estimates(axes, quantity, time_s[estimated], log.start.setup)
+        style.panel(axes, letter, quantity.title, TIME_LABEL, quantity.label)
+        _draw_estimates(axes, quantity, time_s[has_estimate], log.start.setup)
     legend_signs: list[Artist] = []
-    for axes in all_axes[:panels]:
+    for axes in all_axes[:n_panels]:
         handles, _ = axes.get_legend_handles_labels()
         legend_signs += handles
-    if quantities and len(log.start.setup.names) < NUMBERED:
+    if quantities and len(log.start.setup.names) < NUMBERED_MIN:
         legend_signs.append(
             Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation")
         )
@@ -127,11 +127,13 @@ def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
         log: The trial.
         time_s: Times of the steps [s], shape (K,).
     """
-    style.panel(axes, "a", "direction sent", SINCE, "direction $u$ [rad]")
+    style.panel(axes, "a", "direction sent", TIME_LABEL, "direction $u$ [rad]")
     directions = np.array([step.command.direction for step in log.steps], dtype=float)
-    wrapped = wrap(directions)
-    wraps = np.abs(np.diff(wrapped, append=wrapped[-1])) > np.pi
-    axes.plot(*_step_line(time_s, wrapped, wraps), color=style.WHOLE, lw=1.0, gid="direction")
+    wrapped_directions = wrap(directions)
+    is_wrap = np.abs(np.diff(wrapped_directions, append=wrapped_directions[-1])) > np.pi
+    axes.plot(
+        *_step_line(time_s, wrapped_directions, is_wrap), color=style.WHOLE, lw=1.0, gid="direction"
+    )
     axes.set_ylim(-1.08 * np.pi, 1.08 * np.pi)
     axes.set_yticks(**PI_TICKS)
 
@@ -144,8 +146,8 @@ def _step_line(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floa
         values: The values, shape (K,).
         breaks: Whether the line is interrupted after each value, shape (K,).
     """
-    until = np.append(time_s[1:], time_s[-1])
-    x = np.column_stack([time_s, until, until])
+    until_s = np.append(time_s[1:], time_s[-1])
+    x = np.column_stack([time_s, until_s, until_s])
     y = np.column_stack([values, values, np.where(breaks, np.nan, values)])
     return x.ravel(), y.ravel()
 
@@ -158,21 +160,21 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
     """
     period_ms = 1e3 * log.start.setup.period_s
     solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
-    late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
-    drove = np.array([False, *(not step.plan.pauses for step in log.steps[:-1])])
-    title = f"solve time: {late.sum()} of {len(late)} deadlines missed"
-    if drove.any():
-        median_ms, p99_ms = np.percentile(solve_ms[drove], (50, 99), method="inverted_cdf")
+    is_late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
+    was_driving = np.array([False, *(not step.plan.pauses for step in log.steps[:-1])])
+    title = f"solve time: {is_late.sum()} of {len(is_late)} deadlines missed"
+    if was_driving.any():
+        median_ms, p99_ms = np.percentile(solve_ms[was_driving], (50, 99), method="inverted_cdf")
         title += f",\ndriving: half within {median_ms:.3g} ms, 99 % within {p99_ms:.3g} ms"
-    style.panel(axes, "b", title, SINCE, "solve time [ms]")
+    style.panel(axes, "b", title, TIME_LABEL, "solve time [ms]")
     axes.plot(time_s, solve_ms, color=style.FAINT, lw=0.8, zorder=1)
-    axes.plot(time_s[~late], solve_ms[~late], ".", color=style.WHOLE, ms=4)
-    if late.any():
+    axes.plot(time_s[~is_late], solve_ms[~is_late], ".", color=style.WHOLE, ms=4)
+    if is_late.any():
         late_style = {"color": style.ALARM, "ms": 4.5, "label": "too late", "clip_on": False}
-        axes.plot(time_s[late], solve_ms[late], "v", **late_style)
+        axes.plot(time_s[is_late], solve_ms[is_late], "v", **late_style)
     axes.axhline(period_ms, **style.LIMIT, label=f"control period {period_ms:g} ms")
-    log_axis(axes, np.append(positive(solve_ms), period_ms), 0.08, 0.1)
-    if not late[0] and solve_ms[0] > period_ms:
+    set_log_axis(axes, np.append(positive(solve_ms), period_ms), 0.08, 0.1)
+    if not is_late[0] and solve_ms[0] > period_ms:
         axes.annotate(
             "first plan", (time_s[0], solve_ms[0]), (6, 0), textcoords="offset points",
             va="center", fontsize=6.5,
@@ -245,7 +247,7 @@ def _estimated_quantities(log: TrialLog) -> list[_Quantity]:
 def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setup) -> None:
     """Draw the estimates of a quantity over their times (K,), one named curve for each robot.
 
-    The axis shows the range between OUTLIERS and every last value.
+    The axis shows the range between SHOWN_PERCENTILES, and every last value.
     """
     spec = 0.0 if quantity.spec is None else quantity.spec
     values = (quantity.means - spec) * quantity.factor
@@ -256,7 +258,7 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
         return
     if quantity.spec is not None:
         axes.axhline(0, color=style.GREY, lw=0.6)
-    curves = robot_curves(setup, values, band)
+    curves = create_robot_curves(setup, values, band)
     draw_curves(axes, time_s, curves)
     lower_limit, upper_limit = np.nanpercentile(
         values if curves[0].band is None else band, SHOWN_PERCENTILES
@@ -267,7 +269,9 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
     lower_limit -= margin
     upper_limit += margin
     if quantity.spec is not None:
-        curves = _append_to_names(curves, [f"{end:.3g}" for end in quantity.means[-1]])
+        curves = _append_to_names(
+            curves, [f"{final_mean:.3g}" for final_mean in quantity.means[-1]]
+        )
     if quantity.true is not None:
         true_values = (quantity.true - spec) * quantity.factor
         for value, curve in zip(true_values, curves, strict=True):
@@ -279,11 +283,11 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
     name_curves(axes, curves)
 
 
-def _append_to_names(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
+def _append_to_names(curves: Sequence[Curve], suffixes: Sequence[str]) -> list[Curve]:
     """Copy curves, and append a text to the name of each. There is one text for each curve."""
     return [
-        replace(curve, name=f"{curve.name} {text}")
-        for curve, text in zip(curves, texts, strict=True)
+        replace(curve, name=f"{curve.name} {suffix}")
+        for curve, suffix in zip(curves, suffixes, strict=True)
     ]
 
 

@@ -14,7 +14,7 @@ from matplotlib.transforms import ScaledTranslation
 from tetractl.core.errors import format_unit
 from tetractl.statistics.estimate import ArmErrors, Interval, are_numeric
 from tetractl.view import style
-from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
+from tetractl.view.figures.axes import name_categories, needs_log_axis, set_log_axis
 
 HEIGHT_IN = 2.8
 """Height of the figure [in]."""
@@ -53,21 +53,21 @@ def study_errors_figure(
     positions = _place_values(axes, all_arms)
     are_numbers = are_numeric(all_arms)
     errors = np.array([error for arm in all_arms for error in arm.errors])
-    is_logarithmic = spans_orders(errors)
+    is_logarithmic = needs_log_axis(errors)
     if is_logarithmic:
-        log_axis(axes, errors, MARGIN, MARGIN)
+        set_log_axis(axes, errors, MARGIN, MARGIN)
     for number, (name, arms) in enumerate(curves.items()):
-        pooled = {arm.arms for arm in arms}
-        comparable = len(pooled) == 1 and (is_only_field or arms[0].arms > 1)
+        arm_counts = {arm.arms for arm in arms}
+        is_comparable = len(arm_counts) == 1 and (is_only_field or arms[0].arms > 1)
         x = [positions[repr(arm.value)] for arm in arms]
-        marker = "-o" if are_numbers and comparable else "o"
+        marker = "-o" if are_numbers and is_comparable else "o"
         rank = number - (len(curves) - 1) / 2
         aside_in = CURVES_ASIDE_IN * rank if field else 0
         color = style.batch_look(number)["color"]
-        style_of_curve = _curve_style(axes, color, aside_in)
+        curve_style = _curve_style(axes, color, aside_in)
         means = [arm.error.mean for arm in arms]
-        axes.plot(x, means, marker, markersize=3.5, label=name or None, zorder=3, **style_of_curve)
-        _draw_intervals(axes, x, arms, style_of_curve)
+        axes.plot(x, means, marker, markersize=3.5, label=name or None, zorder=3, **curve_style)
+        _draw_intervals(axes, x, arms, curve_style)
         _draw_trials(axes, x, arms, _curve_style(axes, color, aside_in - TRIALS_ASIDE_IN))
         _include_in_limits(axes, x, arms)
     if not field:
@@ -112,12 +112,12 @@ def _place_values(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
         axes.set_xlim(-0.5, len(labels) - 0.5)
         return {value: float(place) for place, value in enumerate(labels)}
     arms_by_value = sorted(arms, key=lambda arm: arm.value)
-    labels_of = {float(arm.value): arm.label for arm in arms_by_value}
-    smallest = min(labels_of)
-    if smallest > 0 and max(labels_of) / smallest >= 10**LOG_DECADES:
+    label_by_value = {float(arm.value): arm.label for arm in arms_by_value}
+    smallest = min(label_by_value)
+    if smallest > 0 and max(label_by_value) / smallest >= 10**LOG_DECADES:
         axes.set_xscale("log")
-    if len(labels_of) <= TICKS_MAX:
-        axes.set_xticks([*labels_of], [*labels_of.values()])
+    if len(label_by_value) <= TICKS_MAX:
+        axes.set_xticks([*label_by_value], [*label_by_value.values()])
     return {repr(arm.value): float(arm.value) for arm in arms}
 
 
@@ -125,19 +125,21 @@ def _draw_intervals(
     axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], style_of_curve: dict[str, Any]
 ) -> None:
     """Draw the 95 % interval of each arm's mean as a vertical line, if the interval is known."""
-    with_interval: list[float] = []
+    positions_with_interval: list[float] = []
     intervals: list[Interval] = []
     for position, arm in zip(x, arms, strict=True):
         if arm.error.ci95.known:
-            with_interval.append(position)
+            positions_with_interval.append(position)
             intervals.append(arm.error.ci95)
     lower_ends = [interval.low for interval in intervals]
     if axes.get_yscale() == "log":
         lower_ends = [
-            max(end, axes.get_ylim()[0]) for end in lower_ends
+            max(lower_end, axes.get_ylim()[0]) for lower_end in lower_ends
         ]  # a bound may be 0 or less
     upper_ends = [interval.high for interval in intervals]
-    axes.vlines(with_interval, lower_ends, upper_ends, linewidth=2.5, alpha=0.45, **style_of_curve)
+    axes.vlines(
+        positions_with_interval, lower_ends, upper_ends, linewidth=2.5, alpha=0.45, **style_of_curve
+    )
 
 
 def _draw_trials(

@@ -34,13 +34,13 @@ from tetractl.tools.table.table import create_length_format
 from tetractl.verification.dish_pictures import DishPictures
 from tetractl.view import style
 from tetractl.view.figures.trials import (
-    NUMBERED,
-    check_alike,
-    final_poses,
+    NUMBERED_MIN,
+    check_same_scene,
+    describe_incompleteness,
+    find_final_poses,
     robot_labels,
-    unfinished,
 )
-from tetractl.view.player import first_seen
+from tetractl.view.player import find_first_positions
 
 WIDTH_IN = style.COLUMN_IN
 BESIDE_AXES_IN = 0.55
@@ -50,14 +50,15 @@ LEGEND_LINE_IN = 0.156
 """Height of a line of a legend [in]."""
 SHAPE_MIN = 0.3
 SHAPE_MAX = 2.0
-"""Maximum height of the axes, relative to their width. SHAPE_LEAST is the minimum."""
+"""Maximum height of the axes, relative to their width. SHAPE_MIN is the minimum."""
 PARTS_OF_ARENA = 9
 """Maximum number of parts into which ticks divide the arena's longer side."""
 NAMED_MAX = 30
 """Maximum number of robots that have entries in the legend."""
-LETTER_PT = 3.9
-SIGN_PT = 20.0
-"""Width of a sign of the legend with its gaps [points]. LETTER_PT is the width of a letter."""
+LETTER_WIDTH_PT = 3.9
+"""Width of a letter of the legend [points]."""
+SIGN_WIDTH_PT = 20.0
+"""Width of a sign of the legend with its gaps [points]."""
 LEGEND_COLUMNS_MAX = 6
 SIGNS_IN_A_LINE = 5
 """Maximum number of signs in one line. More signs are in lines of three."""
@@ -79,10 +80,10 @@ It is the distance of the true positions from the measured ones.
 """
 
 TIMES_MAX = 5
-LAST_TIME = 0.92
+MARKED_FRACTION_MAX = 0.92
 """Fraction of the trial after which no time is marked, because the end has its own sign.
 
-TIMES_MOST is the maximum number of times that are marked.
+TIMES_MAX is the maximum number of times that are marked.
 """
 TICK = 0.028
 """Length of a tick that shows a heading, relative to the arena's longer side."""
@@ -94,10 +95,10 @@ ERROR_LINE_MIN = 0.04
 It is relative to the arena's longer side.
 """
 
-DASHED: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
+DASHED_STYLE: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
 """Line style of a true path, and of the arena's edge in the legend."""
 EDGE: dict[str, Any] = {"fill": False, "edgecolor": style.GREY, "linewidth": 0.6, "linestyle": "--"}
-DOTTED: dict[str, Any] = {"lw": 0.6, "ls": ":"}
+DOTTED_STYLE: dict[str, Any] = {"lw": 0.6, "ls": ":"}
 """Line style of the error at the end, where the signs of end and target do not cover it."""
 END: dict[str, Any] = {"mec": "white", "mew": 0.5, "zorder": 6}
 HALO = [withStroke(linewidth=1.6, foreground="white")]
@@ -114,31 +115,31 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     Raises:
         UsageError: If the logs have different robots, arenas or obstacles.
     """
-    check_alike(logs)
+    check_same_scene(logs)
     setups = [log.start.setup for log in logs]
     setup = setups[0]
     colors = robot_colors(setup.names, setup.colors)
     trails = [log.positions for log in logs]
-    ends = np.array([final_poses(log)[:, :2] for log in logs])  # (T, N, 2)
+    final_positions = np.array([find_final_poses(log)[:, :2] for log in logs])  # (T, N, 2)
     is_single = len(logs) == 1
 
-    title, entries = _compose_heading(logs, ends)
-    figure = _create_titled_figure(setup.arena, title, entries, colors)
+    title, legend_entries = _compose_heading(logs, final_positions)
+    figure = _create_titled_figure(setup.arena, title, legend_entries, colors)
     axes = figure.subplots()
     draw_scene(axes, setups, colors, trails)
-    leaves = _set_limits(axes, setup.arena, [ends, *trails])
-    truth = _visible_truth(logs[0]) if is_single else None
+    leaves_arena = _set_limits(axes, setup.arena, [final_positions, *trails])
+    truth = _find_visible_truth(logs[0]) if is_single else None
     if is_single:
         _draw_single_trial(axes, logs[0], colors, truth)
     else:
         _draw_several_trials(axes, trails, colors)
     for robot, color in enumerate(colors):
-        axes.plot(*ends[:, robot].T, "D", ms=5 if is_single else 3, color=color, **END)
+        axes.plot(*final_positions[:, robot].T, "D", ms=5 if is_single else 3, color=color, **END)
     shows_errors = is_single and bool(_robots_with_error_line(logs[0]).any())
     _add_sign_legend(
         figure,
         logs,
-        leaves_arena=leaves,
+        leaves_arena=leaves_arena,
         shows_truth=truth is not None,
         shows_errors=shows_errors,
     )
@@ -153,7 +154,7 @@ def draw_scene(
 ) -> None:
     """Draw the arena with obstacles, starts and targets.
 
-    Targets are grey if trials assigned them differently. NUMBERED or more robots have numbered
+    Targets are grey if trials assigned them differently. NUMBERED_MIN or more robots have numbered
     starts and targets.
 
     Args:
@@ -170,12 +171,15 @@ def draw_scene(
     tick_step = _round_step(arena.longer_side, PARTS_OF_ARENA)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(tick_step))
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(True)
+    for spine in ("top", "right"):
+        axes.spines[spine].set_visible(True)
     for obstacle in setup.obstacles:
         axes.add_patch(Polygon(obstacle.outline(), zorder=1, **style.OBSTACLE))
     starts = np.array(
-        [first_seen(trail, trial.starts.xy) for trail, trial in zip(trails, setups, strict=True)]
+        [
+            find_first_positions(trail, trial.starts.xy)
+            for trail, trial in zip(trails, setups, strict=True)
+        ]
     )
     targets = np.unique([trial.targets for trial in setups], axis=0)  # (K, N, 2), K assignments
     for robot, color in enumerate(colors):
@@ -189,7 +193,7 @@ def draw_scene(
             for target in targets[:, robot]:
                 circle = Circle(target, setup.hold.radius, fill=False, ec=target_color, lw=0.6)
                 axes.add_patch(circle)
-    if len(setup.names) >= NUMBERED:
+    if len(setup.names) >= NUMBERED_MIN:
         for robot, color in enumerate(colors):
             _write_number(axes, robot, color, starts[0, robot], aside_pt=(0, 0))
             _write_number(axes, robot, color, setup.targets[robot], aside_pt=(6.5, 4))
@@ -208,7 +212,7 @@ def _write_number(
     )  # fmt: skip
 
 
-class DishGround:
+class DishBackground:
     """The background of a figure of cells in a dish: the microscope's images, if there are any."""
 
     def __init__(self, axes: Axes, log: TrialLog) -> None:
@@ -270,11 +274,11 @@ def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
         maxima > corners[1], np.minimum(maxima + margin, corners[1] + far_outside), corners[1]
     )
     axes.set(xlim=(lower_limits[0], upper_limits[0]), ylim=(lower_limits[1], upper_limits[1]))
-    leaves = bool((lower_limits < corners[0]).any() or (upper_limits > corners[1]).any())
-    if leaves:
-        edge = Rectangle((arena.left, arena.bottom), arena.width, arena.height)
-        axes.add_patch(edge).set(**EDGE)
-    return leaves
+    leaves_arena = bool((lower_limits < corners[0]).any() or (upper_limits > corners[1]).any())
+    if leaves_arena:
+        edge_patch = Rectangle((arena.left, arena.bottom), arena.width, arena.height)
+        axes.add_patch(edge_patch).set(**EDGE)
+    return leaves_arena
 
 
 # ---- Paths ----
@@ -301,18 +305,18 @@ def _draw_single_trial(axes: Axes, log: TrialLog, colors: list[str], truth: Floa
     """
     setup = log.start.setup
     trail = log.positions
-    ends = final_poses(log)[:, :2]
+    final_positions = find_final_poses(log)[:, :2]
     last_ns = log.stop.sent_ns if log.stop else int(log.mocap_ns.max(initial=0))
-    DishGround(axes, log).show(last_ns)
+    DishBackground(axes, log).show(last_ns)
     for robot, color in enumerate(colors):
         axes.plot(*trail[:, robot].T, color=color, zorder=3, gid=f"trail-{robot}")
         if truth is not None:
-            axes.plot(*truth[:, robot].T, color=style.INK, zorder=3.5, **DASHED)
-        for time_s in _marked_times(log):
+            axes.plot(*truth[:, robot].T, color=style.INK, zorder=3.5, **DASHED_STYLE)
+        for time_s in _choose_marked_times(log):
             _mark_time(axes, log, robot, color, time_s)
     for robot in np.flatnonzero(_robots_with_error_line(log)):
-        error = np.array([ends[robot], setup.targets[robot]])
-        axes.plot(*error.T, color=colors[robot], zorder=2, **DOTTED)
+        error_line = np.array([final_positions[robot], setup.targets[robot]])
+        axes.plot(*error_line.T, color=colors[robot], zorder=2, **DOTTED_STYLE)
 
 
 def _robots_with_error_line(log: TrialLog) -> Bools:
@@ -320,15 +324,15 @@ def _robots_with_error_line(log: TrialLog) -> Bools:
 
     The distance must exceed ERROR_LINE_MIN times the longer side of the arena.
     """
-    errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
+    errors = np.linalg.norm(find_final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
     return np.asarray(errors > ERROR_LINE_MIN * log.start.setup.arena.longer_side)
 
 
 def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float) -> None:
     """Mark a time since the first direction on a robot's path, by a tick along its heading.
 
-    If there are fewer than NUMBERED robots, the time is written to the left of the robot. Nothing
-    is drawn if the robot was not tracked at this time.
+    If there are fewer than NUMBERED_MIN robots, the time is written to the left of the robot.
+    Nothing is drawn if the robot was not tracked at this time.
     """
     frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
     frame = min(frame, len(log.mocap) - 1)
@@ -340,7 +344,7 @@ def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float)
     tip_y = y + tick_length * math.sin(heading)
     axes.plot([x, tip_x], [y, tip_y], color=color, lw=1.0, zorder=3.6)
     axes.plot(x, y, ".", color=color, ms=4, zorder=3.6)
-    if len(log.start.setup.names) >= NUMBERED:
+    if len(log.start.setup.names) >= NUMBERED_MIN:
         return
     aside_pt = -LABEL_ASIDE_PT * math.sin(heading), LABEL_ASIDE_PT * math.cos(heading)
     axes.annotate(
@@ -349,21 +353,23 @@ def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float)
     )  # fmt: skip
 
 
-def _visible_truth(log: TrialLog) -> Floats | None:
+def _find_visible_truth(log: TrialLog) -> Floats | None:
     """Return the true positions (M, N, 2) if they visibly differ from the measured positions.
 
     The result is None if they are unknown, or if no difference exceeds TRUTH_DISTANCE_MIN.
     """
     if log.truth is None or not len(log.truth):
         return None
-    truth = log.truth[..., :2]
-    gaps = np.linalg.norm(truth - log.positions, axis=-1)
-    differs = np.nanmax(gaps, initial=0.0) > TRUTH_DISTANCE_MIN * log.start.setup.arena.longer_side
-    return truth if differs else None
+    true_positions = log.truth[..., :2]
+    distances = np.linalg.norm(true_positions - log.positions, axis=-1)
+    differs = (
+        np.nanmax(distances, initial=0.0) > TRUTH_DISTANCE_MIN * log.start.setup.arena.longer_side
+    )
+    return true_positions if differs else None
 
 
-def _marked_times(log: TrialLog) -> list[float]:
-    """Select at most TIMES_MOST round times to mark on the paths [s since the first direction].
+def _choose_marked_times(log: TrialLog) -> list[float]:
+    """Select at most TIMES_MAX round times to mark on the paths [s since the first direction].
 
     They are multiples of 1, 2 or 5 times 10^n.
     """
@@ -371,7 +377,7 @@ def _marked_times(log: TrialLog) -> list[float]:
     if end_s <= 0:
         return []
     step_s = _round_step(end_s, TIMES_MAX)
-    return [float(time_s) for time_s in np.arange(step_s, end_s * LAST_TIME, step_s)]
+    return [float(time_s) for time_s in np.arange(step_s, end_s * MARKED_FRACTION_MAX, step_s)]
 
 
 # ---- Legends ----
@@ -385,23 +391,25 @@ def _create_titled_figure(
     Below the title are the `entries`, which may be empty or one for each robot, in as many columns
     as fit.
     """
-    longest = max((len(entry) for entry in entries), default=0)
-    columns_that_fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
-    columns = max(min(len(entries), columns_that_fit, LEGEND_COLUMNS_MAX), 1)
-    lines = title.count("\n") + 1 + math.ceil(len(entries) / columns)
-    shape = min(max(arena.height / arena.width, SHAPE_MIN), SHAPE_MAX)
-    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
-    figure = style.figure(WIDTH_IN, axes_in + ABOVE_AND_BELOW_AXES_IN + LEGEND_LINE_IN * lines)
-    labelled = zip(entries, colors, strict=False)
+    entry_length_max = max((len(entry) for entry in entries), default=0)
+    columns_that_fit = int(
+        (72 * WIDTH_IN + 1) // (LETTER_WIDTH_PT * entry_length_max + SIGN_WIDTH_PT)
+    )
+    n_columns = max(min(len(entries), columns_that_fit, LEGEND_COLUMNS_MAX), 1)
+    n_lines = title.count("\n") + 1 + math.ceil(len(entries) / n_columns)
+    aspect = min(max(arena.height / arena.width, SHAPE_MIN), SHAPE_MAX)
+    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * aspect
+    figure = style.figure(WIDTH_IN, axes_in + ABOVE_AND_BELOW_AXES_IN + LEGEND_LINE_IN * n_lines)
+    colored_entries = zip(entries, colors, strict=False)
     figure.legend(
-        handles=[style.sign(entry, color=color, ls="-") for entry, color in labelled],
+        handles=[style.sign(entry, color=color, ls="-") for entry, color in colored_entries],
         title=title, title_fontsize=7, loc="outside upper center",
-        ncols=columns, columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
+        ncols=n_columns, columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
     )  # fmt: skip
     return figure
 
 
-def _compose_heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
+def _compose_heading(logs: Sequence[TrialLog], final_positions: Floats) -> tuple[str, list[str]]:
     """Compose the title of a figure of trials, and an entry for each robot: its name and error.
 
     Means over several trials leave out incomplete trials. For trials of several folders, no means
@@ -409,11 +417,16 @@ def _compose_heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[
 
     Args:
         logs: The trials.
-        ends: Positions of the robots at the end of each trial, shape (T, N, 2).
+        final_positions: Positions of the robots at the end of each trial, shape (T, N, 2).
     """
     setup = logs[0].start.setup
     unit = format_unit(setup.unit)
-    errors = np.array([log.start.setup.distances(end) for log, end in zip(logs, ends, strict=True)])
+    errors = np.array(
+        [
+            log.start.setup.distances(trial_positions)
+            for log, trial_positions in zip(logs, final_positions, strict=True)
+        ]
+    )
     names = robot_labels(setup.names)
     folders = {log.log.rpartition("/")[0] for log in logs}
     if len(logs) == 1:
@@ -425,11 +438,13 @@ def _compose_heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[
         title = f"{len(logs)} trials of {len(folders)} folders"
         entries = names
     else:
-        completed = np.array([not unfinished(log) for log in logs])
-        counted = errors[completed] if completed.any() else errors
-        total_error = _mean_and_std(counted.sum(axis=1))
+        is_complete = np.array([not describe_incompleteness(log) for log in logs])
+        counted_errors = errors[is_complete] if is_complete.any() else errors
+        total_error = _mean_and_std(counted_errors.sum(axis=1))
         title = f"{len(logs)} trials, error at the end [{unit}], total {total_error}"
-        entries = _with_errors(names, [_mean_and_std(robot_errors) for robot_errors in counted.T])
+        entries = _with_errors(
+            names, [_mean_and_std(robot_errors) for robot_errors in counted_errors.T]
+        )
     return title, entries if len(entries) <= NAMED_MAX else []
 
 
@@ -440,15 +455,15 @@ def _with_errors(names: list[str], errors: list[str]) -> list[str]:
 def _mean_and_std(errors: Floats) -> str:
     """Format the mean of errors and, for two or more errors, their standard deviation (n - 1)."""
     mean = float(errors.mean())
-    digits = 2
+    decimals = 2
     if mean >= 10:
-        digits = 1
+        decimals = 1
     if mean >= 100:
-        digits = 0
+        decimals = 0
     if len(errors) < 2:
-        return f"{mean:.{digits}f}"
+        return f"{mean:.{decimals}f}"
     std = float(errors.std(ddof=1))
-    return f"{mean:.{digits}f} ± {std:.{digits}f}"
+    return f"{mean:.{decimals}f} ± {std:.{decimals}f}"
 
 
 def _add_sign_legend(
@@ -475,31 +490,33 @@ def _add_sign_legend(
         style.sign("end", marker="D", ms=4),
     ]
     if shows_errors:
-        signs.append(style.sign("error: end to target", **DOTTED))
+        signs.append(style.sign("error: end to target", **DOTTED_STYLE))
     if setup.obstacles:
         signs.append(Patch(label="obstacle", **style.OBSTACLE))
-    times_s = _marked_times(logs[0]) if is_single and len(setup.names) >= NUMBERED else []
+    times_s = (
+        _choose_marked_times(logs[0]) if is_single and len(setup.names) >= NUMBERED_MIN else []
+    )
     if times_s:
         signs.append(style.sign(f"every {times_s[0]:g} s", marker=".", ms=4))
     if leaves_arena:
-        signs.append(style.sign("arena", **DASHED))
+        signs.append(style.sign("arena", **DASHED_STYLE))
     if shows_truth:
-        signs.append(style.sign("true path", color=style.INK, **DASHED))
-    columns = len(signs)
+        signs.append(style.sign("true path", color=style.INK, **DASHED_STYLE))
+    n_columns = len(signs)
     if len(signs) > SIGNS_IN_A_LINE:
-        columns = 3
+        n_columns = 3
         figure.set_figheight(figure.get_figheight() + LEGEND_LINE_IN)
-    style.legend(figure, signs, columns, fontsize=6, columnspacing=1.2)
+    style.legend(figure, signs, n_columns, fontsize=6, columnspacing=1.2)
 
 
-def arena_picture(setup: Setup, positions: Floats) -> NDArray[np.uint8]:
+def draw_arena_picture(setup: Setup, positions: Floats) -> NDArray[np.uint8]:
     """Draw an image (H, W, 3) of a trial that is still running.
 
     It shows the scene, and the robots' positions so far in `positions`, shape (M, N, 2).
     """
     arena = setup.arena
-    scale = PICTURE_SIDE_IN / arena.longer_side
-    size_in = scale * arena.width, scale * arena.height
+    in_per_unit = PICTURE_SIDE_IN / arena.longer_side
+    size_in = in_per_unit * arena.width, in_per_unit * arena.height
     figure = Figure(size_in, PICTURE_PIXELS_PER_INCH, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -522,8 +539,8 @@ def _round_step(extent: float, parts_max: int) -> float:
         extent: The extent to divide.
         parts_max: Maximum number of parts.
     """
-    power = 10.0 ** np.floor(np.log10(extent / parts_max))
+    power_of_ten = 10.0 ** np.floor(np.log10(extent / parts_max))
     for multiple in (1, 2, 5):
-        if extent / (multiple * power) <= parts_max:
-            return float(multiple * power)
-    return float(10 * power)
+        if extent / (multiple * power_of_ten) <= parts_max:
+            return float(multiple * power_of_ten)
+    return float(10 * power_of_ten)

@@ -1,4 +1,4 @@
-"""The trials that a figure draws: their selection, their robots' names, and the final poses."""
+"""Helpers for figures of trials: checks and groups of logs, robots' names, and final poses."""
 
 from collections.abc import Sequence
 
@@ -8,8 +8,8 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8
-"""Minimum number of robots that are numbered."""
+NUMBERED_MIN = 8
+"""Minimum number of robots for which figures show numbers."""
 NAME_LENGTH = 16
 """Maximum length of a robot's name [characters]. Longer names are shortened."""
 
@@ -29,7 +29,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
     return logs[0]
 
 
-def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
+def group_by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
     """Group trials by folder: all trials, or only the complete ones.
 
     The key is the folder's name, or its path if two folders have the same name.
@@ -43,18 +43,18 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
         raise UsageError(f"errors in {' and '.join(sorted(units))} cannot be drawn on one axis")
     folders: dict[str, list[TrialLog]] = {}
     for log in logs:
-        if not complete or not unfinished(log):
+        if not complete or not describe_incompleteness(log):
             folder, _, _ = log.log.rpartition("/")
             folders.setdefault(folder, []).append(log)
     if not folders:
         raise LogError("there is no complete trial to plot")
     names = [folder.rpartition("/")[2] or "trials" for folder in folders]
-    distinct = len(set(names)) == len(names)
-    labels = names if distinct else list(folders)
+    are_distinct = len(set(names)) == len(names)
+    labels = names if are_distinct else list(folders)
     return dict(zip(labels, folders.values(), strict=True))
 
 
-def check_alike(logs: Sequence[TrialLog]) -> None:
+def check_same_scene(logs: Sequence[TrialLog]) -> None:
     """Check that one figure can show several logs: same arena, obstacles, units and robots.
 
     Robots that each trial chose by the same rule count as the same.
@@ -75,7 +75,7 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
             )
 
 
-def need_steps(log: TrialLog) -> None:
+def require_steps(log: TrialLog) -> None:
     """Check that a log has control steps.
 
     Raises:
@@ -85,7 +85,7 @@ def need_steps(log: TrialLog) -> None:
         raise LogError(f"{log.log}: the log contains no control steps to plot")
 
 
-def need_frames(log: TrialLog) -> None:
+def require_frames(log: TrialLog) -> None:
     """Check that a log has camera frames.
 
     Raises:
@@ -95,10 +95,10 @@ def need_frames(log: TrialLog) -> None:
         raise LogError(f"{log.log}: the log contains no camera frames to plot")
 
 
-def unfinished(log: TrialLog) -> str:
+def describe_incompleteness(log: TrialLog) -> str:
     """Describe how and why an incomplete trial ended, or that its log breaks off.
 
-    The result is empty if complete.
+    The result is empty if the trial is complete.
     """
     if log.result is None:
         return "the log breaks off before the end of the trial"
@@ -107,11 +107,11 @@ def unfinished(log: TrialLog) -> str:
     return f"{log.result.outcome.value}: {log.result.reason}"
 
 
-def final_poses(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) in the result: x, y [length unit], heading [rad].
+def find_final_poses(log: TrialLog) -> Floats:
+    """Find the robots' poses at the end of a trial (N, 3): x, y [length unit], heading [rad].
 
-    Without a result, they are the last accepted poses or, for a robot that was never tracked, its
-    start.
+    These are the final poses in the result. Without a result, they are the last measured poses. A
+    robot that was never tracked then has its start as its pose.
     """
     if log.result is not None:
         return log.result.verdict.final.array()
@@ -124,12 +124,14 @@ def final_poses(log: TrialLog) -> Floats:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure, in the same order.
+    """Create the labels of robots in a figure, from their names in the same order.
 
-    A name longer than NAME_LENGTH is shortened. If there are NUMBERED names or more, each is
-    preceded by its number, from 1.
+    A name longer than NAME_LENGTH is shortened. If there are NUMBERED_MIN names or more, each label
+    starts with the robot's number, from 1.
     """
-    short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
-    if len(names) < NUMBERED:
-        return short
-    return [f"{number} {name}" for number, name in enumerate(short, start=1)]
+    short_names = [
+        name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names
+    ]
+    if len(names) < NUMBERED_MIN:
+        return short_names
+    return [f"{number} {name}" for number, name in enumerate(short_names, start=1)]

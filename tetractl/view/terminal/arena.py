@@ -14,21 +14,21 @@ from tetractl.core.colors import OBSTACLE_EDGE
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.view.player import Moment, first_seen
-from tetractl.view.terminal.glyphs import arrow
+from tetractl.view.player import Moment, find_first_positions
+from tetractl.view.terminal.glyphs import choose_arrow
 
-DOWN = 4
-ACROSS = 2
-"""Number of columns of dots in a braille cell. DOWN is the number of rows.
+DOT_ROWS = 4
+DOT_COLUMNS = 2
+"""Number of columns of dots in a braille cell. DOT_ROWS is the number of its rows.
 
 A cell is twice as high as wide, so the dots lie on a square grid.
 """
-_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
-"""The bit of each dot of a cell (DOWN, ACROSS) in the number of its braille character."""
+_DOT_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
+"""The bit of each dot in the number of a braille character, shape (DOT_ROWS, DOT_COLUMNS)."""
 BRAILLE = 0x2800
-"""The braille character without a dot in Unicode, from which the others count."""
-DOT_MOST = 1e6
-"""Maximum column and row of a dot, far outside of every terminal, so that numbers are integers."""
+"""Unicode number of the braille character without dots, to which the bits of dots are added."""
+DOT_INDEX_MAX = 1e6
+"""Maximum column and row of a dot. It is far outside every terminal, and fits into an integer."""
 _PLAIN = Style()
 START = "○"
 TARGET = "□"
@@ -40,13 +40,13 @@ BORDER_STYLE = Style(dim=True)
 class Projection:
     """The scale by which the arena is drawn on a canvas of `width` x `height` character cells.
 
-    A dot of the canvas is `scale` length units wide.
+    A dot of the canvas is `dot_width` length units wide.
     """
 
     arena: Bounds
     width: int
     height: int
-    scale: float
+    dot_width: float
 
     @classmethod
     def fit(cls, arena: Bounds, width: int, height: int) -> "Projection":
@@ -57,38 +57,38 @@ class Projection:
             width: Number of columns.
             height: Number of rows.
         """
-        columns_most = ACROSS * max(width, 1)
-        rows_most = DOWN * max(height, 1)
+        columns_most = DOT_COLUMNS * max(width, 1)
+        rows_most = DOT_ROWS * max(height, 1)
         scale = max(arena.width / (columns_most - 1), arena.height / (rows_most - 1))
         columns = round(arena.width / scale) + 1
         rows = round(arena.height / scale) + 1
-        return cls(arena, math.ceil(columns / ACROSS), math.ceil(rows / DOWN), scale)
+        return cls(arena, math.ceil(columns / DOT_COLUMNS), math.ceil(rows / DOT_ROWS), scale)
 
-    def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the columns and rows of the canvas dots at positions (..., 2) of the arena.
+    def to_dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Convert positions (..., 2) in the arena to columns and rows of dots of the canvas.
 
-        They count from (0, 0) at the top left. Positions with NaN are left out. A position outside
-        the arena may give a dot outside the canvas.
+        Columns and rows count from (0, 0) at the top left. Positions with NaN are left out. A
+        position outside the arena may give a dot outside the canvas.
         """
         xy = xy[np.isfinite(xy).all(axis=-1)]
-        column = np.rint((xy[:, 0] - self.arena.left) / self.scale)
-        row = np.rint((self.arena.bottom + self.arena.height - xy[:, 1]) / self.scale)
+        column = np.rint((xy[:, 0] - self.arena.left) / self.dot_width)
+        row = np.rint((self.arena.bottom + self.arena.height - xy[:, 1]) / self.dot_width)
         return (
-            np.clip(column, -DOT_MOST, DOT_MOST).astype(np.int64),
-            np.clip(row, -DOT_MOST, DOT_MOST).astype(np.int64),
+            np.clip(column, -DOT_INDEX_MAX, DOT_INDEX_MAX).astype(np.int64),
+            np.clip(row, -DOT_INDEX_MAX, DOT_INDEX_MAX).astype(np.int64),
         )
 
-    def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Return the column and row of the character cell at a position, or of the nearest cell.
+    def to_cell(self, x: float, y: float) -> tuple[int, int]:
+        """Convert a position in the arena to the column and row of the nearest character cell.
 
-        For an unknown position (NaN), it is the lower left cell.
+        The result for an unknown position (NaN) is the lower left cell.
         """
         position = np.array([[x, y]])
         if not np.isfinite(position).all():
             position = np.array([[self.arena.left, self.arena.bottom]])
-        columns, rows = self.dots(position)
-        column = int(columns[0]) // ACROSS
-        row = int(rows[0]) // DOWN
+        columns, rows = self.to_dots(position)
+        column = int(columns[0]) // DOT_COLUMNS
+        row = int(rows[0]) // DOT_ROWS
         nearest_column = min(max(column, 0), self.width - 1)
         nearest_row = min(max(row, 0), self.height - 1)
         return nearest_column, nearest_row
@@ -105,23 +105,23 @@ class Canvas:
         self._style = np.zeros((height, width), dtype=np.intp)
         self._chars = np.full((height, width), " ")
 
-    def dots(self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style) -> None:
-        """Draw dots in a style. Those outside the canvas are left out.
+    def draw_dots(self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style) -> None:
+        """Draw dots in a style. Dots outside the canvas are left out.
 
         Args:
-            columns: Their columns in braille dots from the left, ACROSS for each character.
-            rows: Their rows in braille dots from the top, DOWN for each character.
-            style: Their style, which each character touched takes as a whole.
+            columns: Column of each dot from the left. A character has DOT_COLUMNS columns.
+            rows: Row of each dot from the top. A character has DOT_ROWS rows.
+            style: Style of the dots. A character takes the style of its newest dot as a whole.
         """
-        inside = (columns >= 0) & (columns < ACROSS * self.width)
-        inside &= (rows >= 0) & (rows < DOWN * self.height)
-        columns = columns[inside]
-        rows = rows[inside]
-        cells = (rows // DOWN, columns // ACROSS)
-        np.bitwise_or.at(self._bits, cells, _BITS[rows % DOWN, columns % ACROSS])
+        is_inside = (columns >= 0) & (columns < DOT_COLUMNS * self.width)
+        is_inside &= (rows >= 0) & (rows < DOT_ROWS * self.height)
+        columns = columns[is_inside]
+        rows = rows[is_inside]
+        cells = (rows // DOT_ROWS, columns // DOT_COLUMNS)
+        np.bitwise_or.at(self._bits, cells, _DOT_BITS[rows % DOT_ROWS, columns % DOT_COLUMNS])
         self._style[cells] = self._index(style)
 
-    def put(self, column: int, row: int, char: str, style: Style) -> None:
+    def put_character(self, column: int, row: int, char: str, style: Style) -> None:
         """Replace the dots of a cell by a character. Outside the canvas, nothing is drawn.
 
         Args:
@@ -135,8 +135,8 @@ class Canvas:
             self._chars[row, column] = char
             self._style[row, column] = self._index(style)
 
-    def text(self) -> list[str]:
-        """Return the rows of the canvas as text, from top to bottom.
+    def render_text(self) -> list[str]:
+        """Render the rows of the canvas as text, from top to bottom.
 
         In a cell with dots, the dots hide any character.
         """
@@ -144,12 +144,17 @@ class Canvas:
         chars = np.where(self._bits > 0, braille, self._chars)
         return ["".join(row) for row in chars]
 
-    def segments(self) -> list[list[Segment]]:
-        """Return the rows of the canvas, each split into segments of one style."""
+    def render_segments(self) -> list[list[Segment]]:
+        """Render the rows of the canvas, each split into segments of one style."""
         rows = []
-        for text, styles in zip(self.text(), self._style, strict=True):
-            cuts = [0, *(np.flatnonzero(np.diff(styles)) + 1), self.width]
-            rows.append([Segment(text[a:b], self._styles[styles[a]]) for a, b in pairwise(cuts)])
+        for row_text, styles in zip(self.render_text(), self._style, strict=True):
+            boundaries = [0, *(np.flatnonzero(np.diff(styles)) + 1), self.width]
+            rows.append(
+                [
+                    Segment(row_text[begin:end], self._styles[styles[begin]])
+                    for begin, end in pairwise(boundaries)
+                ]
+            )
         return rows
 
     def _index(self, style: Style) -> int:
@@ -158,7 +163,7 @@ class Canvas:
         return self._styles.index(style)
 
 
-def draw(frame: Moment, colors: list[str], width: int, height: int) -> Canvas:
+def draw_moment(frame: Moment, colors: list[str], width: int, height: int) -> Canvas:
     """Draw one instant of a trial on a canvas.
 
     It shows obstacles, the plan (dotted), trails, starts (circles), targets (squares) and robots
@@ -171,66 +176,68 @@ def draw(frame: Moment, colors: list[str], width: int, height: int) -> Canvas:
         height: Maximum number of rows.
     """
     setup = frame.setup
-    view = Projection.fit(setup.arena, width, height)
-    canvas = Canvas(view.width, view.height)
+    projection = Projection.fit(setup.arena, width, height)
+    canvas = Canvas(projection.width, projection.height)
     for obstacle in setup.obstacles:
-        canvas.dots(*view.dots(_filling(obstacle, view)), OBSTACLE_STYLE)
+        canvas.draw_dots(*projection.to_dots(_sample_filling(obstacle, projection)), OBSTACLE_STYLE)
     if frame.step is not None and frame.result is None:
-        plan = frame.step.plan.path
+        path = frame.step.plan.path
         for robot, color in enumerate(colors):
-            dotted = Style(color=color, dim=True)
-            canvas.dots(*view.dots(plan[:, robot, :2]), dotted)
+            plan_style = Style(color=color, dim=True)
+            canvas.draw_dots(*projection.to_dots(path[:, robot, :2]), plan_style)
     for robot, color in enumerate(colors):
-        canvas.dots(*view.dots(frame.trail[:, robot]), Style(color=color))
-    starts = first_seen(frame.trail, setup.starts.xy)
+        canvas.draw_dots(*projection.to_dots(frame.trail[:, robot]), Style(color=color))
+    starts = find_first_positions(frame.trail, setup.starts.xy)
     for robot, color in enumerate(colors):
-        canvas.put(*view.cell(*starts[robot]), START, Style(color=color))
+        canvas.put_character(*projection.to_cell(*starts[robot]), START, Style(color=color))
         for target in setup.legs[:, robot]:
-            canvas.put(*view.cell(*target), TARGET, Style(color=color))
+            canvas.put_character(*projection.to_cell(*target), TARGET, Style(color=color))
     for robot, color in enumerate(colors):
         x, y, heading = frame.poses[robot].tolist()
-        canvas.put(*view.cell(x, y), arrow(heading), Style(color=color, bold=True))
+        canvas.put_character(
+            *projection.to_cell(x, y), choose_arrow(heading), Style(color=color, bold=True)
+        )
     return canvas
 
 
-def framed(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
+def add_frame(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
     """Yield the rows of a canvas with a thin border.
 
     The label is in the middle of the lower edge. It is left out if it is too long.
     """
-    words = f" {label} "
-    if len(words) > canvas.width:
-        words = ""
-    before = (canvas.width - len(words)) // 2
-    after = canvas.width - len(words) - before
+    padded_label = f" {label} "
+    if len(padded_label) > canvas.width:
+        padded_label = ""
+    left_dashes = (canvas.width - len(padded_label)) // 2
+    right_dashes = canvas.width - len(padded_label) - left_dashes
     yield [Segment(f"┌{'─' * canvas.width}┐", BORDER_STYLE)]
-    for row in canvas.segments():
+    for row in canvas.render_segments():
         yield [Segment("│", BORDER_STYLE), *row, Segment("│", BORDER_STYLE)]
-    yield [Segment(f"└{'─' * before}{words}{'─' * after}┘", BORDER_STYLE)]
+    yield [Segment(f"└{'─' * left_dashes}{padded_label}{'─' * right_dashes}┘", BORDER_STYLE)]
 
 
-def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return points (M, 2) whose dots fill a shape [length unit].
+def _sample_filling(shape: Shape, projection: Projection) -> Floats:
+    """Sample points (M, 2) whose dots fill a shape [length unit].
 
     There is one point for each dot inside both the shape and the arena, and more along the whole
     outline of the shape. A shape smaller than a dot has only outline points.
     """
-    arena = view.arena
+    arena = projection.arena
     outline = shape.outline()
     left, bottom = outline.min(axis=0)
     right, top = outline.max(axis=0)
-    x = _ticks(max(left, arena.left), min(right, arena.right), view.scale)
-    y = _ticks(max(bottom, arena.bottom), min(top, arena.top), view.scale)
+    x = _space_evenly(max(left, arena.left), min(right, arena.right), projection.dot_width)
+    y = _space_evenly(max(bottom, arena.bottom), min(top, arena.top), projection.dot_width)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside = shape.contains(grid[:, 0], grid[:, 1])
-    return np.vstack([grid[inside], outline])
+    is_inside = shape.contains(grid[:, 0], grid[:, 1])
+    return np.vstack([grid[is_inside], outline])
 
 
-def _ticks(low: float, high: float, step: float) -> Floats:
-    """Return equally spaced coordinates from low to high, both included, at most `step` apart.
+def _space_evenly(lower: float, upper: float, step_max: float) -> Floats:
+    """Compute evenly spaced coordinates from `lower` to `upper`, at most `step_max` apart.
 
-    The result is empty if high < low.
+    Both limits are included. The result is empty if `upper` is below `lower`.
     """
-    if high < low:
+    if upper < lower:
         return np.empty(0)
-    return np.linspace(low, high, math.ceil((high - low) / step) + 1)
+    return np.linspace(lower, upper, math.ceil((upper - lower) / step_max) + 1)

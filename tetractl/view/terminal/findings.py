@@ -10,7 +10,7 @@ from tetractl.tools.table.terminal_table import open_console, print_tables
 ANSWERS = {True: "yes", False: "no", None: "n/a"}
 
 
-def _or(unknown: str, form: str) -> Callable[[Any], str]:
+def _create_formatter(unknown: str, form: str) -> Callable[[Any], str]:
     return lambda value: unknown if value is None else form.format(value)
 
 
@@ -30,16 +30,18 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
             "off its start",
             [robot.off_mm for robot in robots],
             "mm",
-            _or("not tracked", "{:.0f}"),
+            _create_formatter("not tracked", "{:.0f}"),
         ),
         Column(
             "off its heading",
             [robot.off_heading for robot in robots],
             "rad",
-            _or(UNKNOWN_TEXT, "{:+.2f}"),
+            _create_formatter(UNKNOWN_TEXT, "{:+.2f}"),
         ),
         Column(
-            "battery", [robot.status.battery for robot in robots], format=_or(UNKNOWN_TEXT, "{}")
+            "battery",
+            [robot.status.battery for robot in robots],
+            format=_create_formatter(UNKNOWN_TEXT, "{}"),
         ),
         Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
     )
@@ -47,9 +49,9 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
     rate = "unknown" if preflight.camera_rate_hz is None else f"{preflight.camera_rate_hz:.1f} Hz"
     lines = [f"camera: {rate}"]
     if preflight.latency_ms is not None:
-        median, most = preflight.latency_ms
+        median, maximum = preflight.latency_ms
         condition = ", if lab.camera.latency is right" if latency_stated else ""
-        age = f"{median:.1f} ms, at most {most:.1f} ms"
+        age = f"{median:.1f} ms, at most {maximum:.1f} ms"
         lines.append(f"age of frames on arrival: {age}{condition}")
     lines += [f"{name}: {value}" for name, value in preflight.facts.items()]
     lines += [f"warning: {line}" for line in preflight.all_warnings]
@@ -72,7 +74,7 @@ def _verdict(preflight: Preflight) -> str:
     return f"ready, with {number} {pluralize('warning', number)}"
 
 
-def preflight_items(preflight: Preflight) -> dict[str, Any]:
+def create_preflight_items(preflight: Preflight) -> dict[str, Any]:
     """Return the result of the preflight as data for JSON.
 
     Misplaced robots count among its problems. The latency is None if it is unknown.

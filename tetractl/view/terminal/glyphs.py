@@ -14,22 +14,22 @@ FILLED_CHARACTER = "━"
 """Character of the filled part of a bar."""
 OPEN_CHARACTER = "─"
 """Character of the open part of a bar."""
-SPARKS = "▁▂▃▄▅▆▇█"
-"""Characters of a sparkline, from low to high."""
+SPARK_CHARACTERS = "▁▂▃▄▅▆▇█"
+"""Characters of a draw_sparkline, from low to high."""
 FUTURE_CHARACTER = "·"
-"""Character of a sparkline for values to come."""
+"""Character of a draw_sparkline for values to come."""
 LOG_MIN = 1e-12
 """Minimum value on a logarithmic scale. A smaller value is shown like this one."""
 
 
-def arrow(angle: float) -> str:
+def choose_arrow(angle: float) -> str:
     """Return the arrow character nearest to an angle from +x [rad]. For NaN, it points along +x."""
     if not math.isfinite(angle):
         return ARROWS[0]
     return ARROWS[round(math.remainder(angle, math.tau) / (math.pi / 4)) % len(ARROWS)]
 
 
-def bar(width: int, fraction: float, style: str) -> Text:
+def draw_bar(width: int, fraction: float, style: str) -> Text:
     """Draw a horizontal bar of characters, for example for a robot's distance to its target.
 
     Args:
@@ -45,7 +45,7 @@ def bar(width: int, fraction: float, style: str) -> Text:
     )
 
 
-def sparkline(
+def draw_sparkline(
     values: Sequence[float] | Floats,
     width: int,
     *,
@@ -64,22 +64,26 @@ def sparkline(
     finite = np.where(np.isfinite(finite), finite, np.nan)
     if not len(finite) or np.isnan(finite).all() or width < 1:
         return Text(FUTURE_CHARACTER * max(width, 0), "dim")
-    bars = [SPARKS[level] for level in _bar_heights(finite, log)]
+    bars = [SPARK_CHARACTERS[level] for level in _bar_heights(finite, log)]
     total = max(total, len(bars))
-    cells = min(width, total)
-    ends = (np.arange(cells) + 1) * total / cells
-    newest = np.ceil(ends).astype(int) - 1  # index of the newest value of each cell
-    shown = [bars[index] for index in newest if index < len(bars)]
-    shown_to = newest[len(shown) - 1] + 1 if shown else 0
-    if len(shown) < cells and len(bars) > shown_to:  # the first values of the next cell
-        shown.append(bars[-1])
-    return Text.assemble("".join(shown), (FUTURE_CHARACTER * (cells - len(shown)), "dim"))
+    n_cells = min(width, total)
+    cell_ends = (np.arange(n_cells) + 1) * total / n_cells
+    newest_indices = np.ceil(cell_ends).astype(int) - 1  # index of the newest value of each cell
+    shown_bars = [bars[index] for index in newest_indices if index < len(bars)]
+    shown_to = newest_indices[len(shown_bars) - 1] + 1 if shown_bars else 0
+    # the newest values belong to a cell that is not complete yet
+    if len(shown_bars) < n_cells and len(bars) > shown_to:
+        shown_bars.append(bars[-1])
+    return Text.assemble(
+        "".join(shown_bars), (FUTURE_CHARACTER * (n_cells - len(shown_bars)), "dim")
+    )
 
 
 def _bar_heights(values: Floats, log: bool) -> list[int]:
-    """Compute the height of each value as an index into SPARKS. A NaN gets the greatest height.
+    """Compute the height of each value's bar, as an index into SPARK_CHARACTERS.
 
-    The lowest height is 0 on a linear scale, and the minimum of the values if `log` is true.
+    A NaN gets the maximum height. The lowest bar stands for 0 on a linear scale and, if `log` is
+    true, for the minimum of the values.
     """
     if log:
         values = np.log(np.maximum(values, LOG_MIN))
@@ -88,6 +92,6 @@ def _bar_heights(values: Floats, log: bool) -> list[int]:
     fraction = np.zeros_like(values)
     if top > bottom:
         fraction = (np.clip(values, bottom, top) - bottom) / (top - bottom)
-    highest = len(SPARKS) - 1
+    highest = len(SPARK_CHARACTERS) - 1
     levels = np.nan_to_num(fraction * highest, nan=highest).round()
     return levels.astype(int).tolist()

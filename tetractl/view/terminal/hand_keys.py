@@ -1,12 +1,12 @@
-"""Steering by hand: reads what a person wants robots to do, from keys and mouse or from a file.
+"""Steering by hand: reads the direction that a person chooses with keys, a mouse or a file.
 
     arrows        the robots turn to the right, up, to the left, down
-    the mouse     drag anywhere: they turn to the direction of the drag
-    p             a simulation pauses, and shows where each arrow leads; p again goes on
-    space, q      stop, which ends the trial
+    the mouse     drag anywhere: the robots turn to the direction of the drag
+    p             pause a simulation, and show where each arrow leads; p again continues
+    space, q      stop the robots, which ends the trial
 
-A file has a line `SECONDS KEY` for each key, `#` before a comment; the first key starts the robots,
-and times count from it.
+A file has a line `SECONDS KEY` for each key. A `#` starts a comment. The first key starts the
+robots, and times count from the first key.
 """
 
 import math
@@ -26,21 +26,21 @@ from tetractl.spec.yaml.spec_files import read_text
 from tetractl.tools.table.table import pluralize
 
 ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}
-"""Directions [rad] by key."""
-STOPS = {"space", "q"}
-PAUSE = "p"
+"""The direction of each arrow key [rad]."""
+STOP_KEYS = {"space", "q"}
+PAUSE_KEY = "p"
 HINTS = ("arrows steer", "SPACE ends", "P: pause", "mouse: drag")
 """What the keys do in a simulation, the most important first."""
 LAB_HINTS = ("ESC: EMERGENCY STOP", "arrows steer", "SPACE ends", "mouse: drag")
-"""What they do in a lab."""
-GO_ON = "enter"
-AGAIN = "r"
-LEAVE = "q"
-"""Answers to the question what to do after a trial.
+"""What the keys do in a lab, the most important first."""
+CONTINUE_KEY = "enter"
+REPEAT_KEY = "r"
+QUIT_KEY = "q"
+"""Keys that answer the question how to continue after a trial.
 
-No arrow is one of them, so that a hand that still steers answers nothing.
+No arrow key is an answer, because the person may still press arrows when the trial ends.
 """
-WHY = (
+WHY_HARD_TEXT = (
     "All robots received the same directions, but each turns at its own rate, so every turn "
     "changes the gaps between them. The right turns in the right order bring each robot "
     "home. This is hard because no robot can be moved alone: what brings one home takes "
@@ -50,77 +50,77 @@ WHY = (
 
 It takes eight lines of the smallest panel.
 """
-PAUSED = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
+PAUSED_TEXT = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
 """Text shown during a pause."""
 BYTE_ORDER_MARK = "\ufeff"
 """Character that some editors write at the beginning of a file."""
-WAIT_S = 0.01
+CHECK_INTERVAL_S = 0.01
 """Time between two checks whether a key has been pressed [s]."""
 CELL_HEIGHT = 2.0
 """Height of a character cell of a terminal, relative to its width."""
 _MOUSE = re.compile(r"<(?P<button>\d+);(?P<column>\d+);(?P<row>\d+)(?P<kind>[Mm])")
-"""What a terminal sends of the mouse after its escape character, in its mode 1006."""
-PRESSED = 0
-DRAGGED = 32
-"""Number of the button while the mouse moves with the left one pressed.
+"""A mouse event as a terminal sends it in mode 1006, without the escape character."""
+PRESSED_BUTTON = 0
+DRAGGED_BUTTON = 32
+"""Button number of a mouse event while the mouse moves with the left button pressed.
 
-PRESSED is its number at the moment when it is pressed.
+PRESSED_BUTTON is its number at the moment when it is pressed.
 """
-MOUSE_ON = "\x1b[?1002h\x1b[?1006h"
-MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
+MOUSE_ON_SEQUENCE = "\x1b[?1002h\x1b[?1006h"
+MOUSE_OFF_SEQUENCE = "\x1b[?1006l\x1b[?1002l"
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
-    """What the person who steers wants at present: a direction, a stop, or a pause.
+class SteeringWish:
+    """The present wish of the person who steers: a direction, a stop, or a pause.
 
     Attributes:
         direction: The direction [rad]. None before the first key.
         stops: Whether to stop.
         pauses: Whether to pause.
-        drag_from: Where a drag of the mouse began: column and row of the screen. None if there is
-            none.
+        drag_start: Column and row of the screen at which a drag of the mouse began. None without a
+            drag.
     """
 
     direction: float | None = None
     stops: bool = False
     pauses: bool = False
-    drag_from: tuple[int, int] | None = None
+    drag_start: tuple[int, int] | None = None
 
     @property
-    def answer(self) -> float | None:
-        """The direction that the person wants [rad], None to stop."""
+    def direction_or_stop(self) -> float | None:
+        """The direction that the person wants [rad]. None for a stop, or before the first key."""
         return None if self.stops else self.direction
 
-    def after(self, key: str) -> "Wish":
-        """Return the person's new wish after a key or a movement of the mouse.
+    def after_key(self, key: str) -> "SteeringWish":
+        """Return the person's new wish after a key or a mouse event.
 
-        Keys without a function do not change it. A stop cannot be taken back.
+        Keys without a function do not change the wish. A stop cannot be taken back.
         """
         if key in ARROWS:
             return replace(self, direction=ARROWS[key])
-        if key in STOPS:
+        if key in STOP_KEYS:
             return replace(self, stops=True)
-        if key == PAUSE and self.direction is not None:
+        if key == PAUSE_KEY and self.direction is not None:
             return replace(self, pauses=not self.pauses)
         mouse = _MOUSE.fullmatch(key)
-        return self if mouse is None else self._dragged(mouse)
+        return self if mouse is None else self._after_drag(mouse)
 
-    def _dragged(self, mouse: re.Match[str]) -> "Wish":
+    def _after_drag(self, mouse: re.Match[str]) -> "SteeringWish":
         column = int(mouse["column"])
         row = int(mouse["row"])
         button = int(mouse["button"])
-        if button == PRESSED and mouse["kind"] == "M":
-            return replace(self, drag_from=(column, row))
-        if button != DRAGGED or self.drag_from is None or self.drag_from == (column, row):
+        if button == PRESSED_BUTTON and mouse["kind"] == "M":
+            return replace(self, drag_start=(column, row))
+        if button != DRAGGED_BUTTON or self.drag_start is None or self.drag_start == (column, row):
             return self
-        right = column - self.drag_from[0]
-        up = CELL_HEIGHT * (self.drag_from[1] - row)
-        return replace(self, direction=math.atan2(up, right))
+        columns_right = column - self.drag_start[0]
+        columns_up = CELL_HEIGHT * (self.drag_start[1] - row)
+        return replace(self, direction=math.atan2(columns_up, columns_right))
 
 
 class HandKeys:
-    """Reads what a person wants from keys and mouse of a terminal. It is a context manager.
+    """Reader of a person's wishes from keys and mouse of a terminal; a context manager.
 
     Only a simulation `can_pause`. Two threads use this object. The thread of the keys calls
     `press`, and replaces the wish as a whole. The thread of the trial calls `ask`, which reads it.
@@ -128,53 +128,54 @@ class HandKeys:
     """
 
     def __init__(self, has_ended: Callable[[], bool], can_pause: bool = False) -> None:
-        self._wish = Wish()
+        self._wish = SteeringWish()
         self._answer = ""
         self._has_ended = has_ended
         self._can_pause = can_pause
 
     def press(self, key: str) -> None:
-        """Take a key that was pressed, given by its name, and change the person's wish.
+        """Change the person's wish according to a pressed key, given by its name.
 
         The key may also be the answer for which `await_answer` waits. The pause key is ignored if
         the plant cannot pause.
         """
         name = key.lower() if len(key) == 1 else key  # P is p
-        if name != PAUSE or self._can_pause:
-            self._wish = self._wish.after(name)
-        if name in (GO_ON, AGAIN, LEAVE):
+        if name != PAUSE_KEY or self._can_pause:
+            self._wish = self._wish.after_key(name)
+        if name in (CONTINUE_KEY, REPEAT_KEY, QUIT_KEY):
             self._answer = name
 
     def stop(self) -> None:
-        """Stop the robots, as the space bar does, and answer LEAVE."""
+        """Stop the robots, as the space bar does, and answer QUIT_KEY."""
         self._wish = replace(self._wish, stops=True)
-        self._answer = LEAVE
+        self._answer = QUIT_KEY
 
-    def forget(self) -> None:
+    def forget_answer(self) -> None:
         """Forget earlier answers, so that `await_answer` waits for a new key."""
         self._answer = ""
 
     def await_answer(self) -> str:
-        """Wait for the person's answer after a trial, GO_ON, AGAIN or LEAVE, and return it.
+        """Wait until the person presses CONTINUE_KEY, REPEAT_KEY or QUIT_KEY, and return the key.
 
-        The answer is LEAVE if the trial ended for another reason.
+        The result is QUIT_KEY if the trial ended for another reason.
         """
         while not self._answer and not self._has_ended():
-            time.sleep(WAIT_S)
-        return self._answer or LEAVE
+            time.sleep(CHECK_INTERVAL_S)
+        return self._answer or QUIT_KEY
 
     def ask(self, time_s: float) -> float | None:
         """Return the direction that the person wants [rad]. None to stop.
 
-        Before the first key, this waits for it, unless the trial ends for another reason.
+        Before the first key, this function waits for the key, unless the trial ends for another
+        reason.
         """
         while self._wish.direction is None and not (self._wish.stops or self._has_ended()):
-            time.sleep(WAIT_S)
-        return self._wish.answer
+            time.sleep(CHECK_INTERVAL_S)
+        return self._wish.direction_or_stop
 
     @property
     def pauses(self) -> bool:
-        """Whether the person has asked for a pause, and no stop or end of the trial came since."""
+        """Whether the trial is paused: the person has asked for a pause, and it has not ended."""
         return self._wish.pauses and not (self._wish.stops or self._has_ended())
 
     def await_end_of_pause(self, show: Callable[[float], None]) -> None:
@@ -182,27 +183,27 @@ class HandKeys:
 
         `show` is called once for each new direction [rad] that the person tries meanwhile.
         """
-        shown: float | None = None
+        shown_direction: float | None = None
         while self.pauses:
             direction = self._wish.direction
-            if direction is not None and direction != shown:
+            if direction is not None and direction != shown_direction:
                 show(direction)
-                shown = direction
-            time.sleep(WAIT_S)
+                shown_direction = direction
+            time.sleep(CHECK_INTERVAL_S)
 
     def __enter__(self) -> Self:
-        sys.stderr.write(MOUSE_ON)
+        sys.stderr.write(MOUSE_ON_SEQUENCE)
         sys.stderr.flush()
         return self
 
     def __exit__(self, *error: object) -> None:
         self.stop()  # a thread that still asks must end
-        sys.stderr.write(MOUSE_OFF)
+        sys.stderr.write(MOUSE_OFF_SEQUENCE)
         sys.stderr.flush()
 
 
-def task(setup: Setup, disturbed: bool) -> str:
-    """Describe to the person who steers what to do, and which robots turn fastest and slowest."""
+def describe_task(setup: Setup, disturbed: bool) -> str:
+    """Describe the task of the person who steers, and which robots turn fastest and slowest."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
     dots = "about where that leads" if disturbed else "where that leads"
@@ -216,9 +217,9 @@ def task(setup: Setup, disturbed: bool) -> str:
 
 
 class KeyScript:
-    """The keys in a file that steers in place of a person, each with its time [s].
+    """A list of timed keys from a file, which steers instead of a person.
 
-    Times count from the first key.
+    The times [s] count from the first key.
     """
 
     def __init__(self, keys: list[tuple[float, str]]) -> None:
@@ -226,41 +227,41 @@ class KeyScript:
 
     def ask(self, time_s: float) -> float | None:
         """Return the direction [rad] at a time after the first key [s]. None after a stop key."""
-        wish = Wish()
+        wish = SteeringWish()
         for pressed_s, key in self._keys:
             if pressed_s <= time_s:
-                wish = wish.after(key)
-        return wish.answer
+                wish = wish.after_key(key)
+        return wish.direction_or_stop
 
 
-def read_script(path: Path) -> KeyScript:
-    """Read a file of keys that steers instead of a person.
+def read_key_script(path: Path) -> KeyScript:
+    """Read a file of timed keys that steers instead of a person.
 
     Raises:
-        UsageError: With file and line, if a line is wrong, times decrease, or the first key is
-            not an arrow.
+        UsageError: If a line is wrong, if times decrease, or if the first key is not an arrow. The
+            message names the file and the line.
     """
     keys: list[tuple[float, str]] = []
     last_s = 0.0
     text = read_text(path, expected="keys are lines of text").removeprefix(BYTE_ORDER_MARK)
-    for number, line in enumerate(text.splitlines(), start=1):
+    for line_number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         if not words:
             continue
-        where = f"{path}:{number}"
+        location = f"{path}:{line_number}"
         if len(words) != 2:
             raise UsageError(
-                f"{where}: the line must have the form SECONDS KEY", "for example `2.5 up`"
+                f"{location}: the line must have the form SECONDS KEY", "for example `2.5 up`"
             )
-        time_s = _seconds(words[0], where)
+        time_s = _parse_seconds(words[0], location)
         if time_s < last_s:
             raise UsageError(
-                f"{where}: the time {words[0]} s is before the previous line's {last_s:g} s"
+                f"{location}: the time {words[0]} s is before the previous line's {last_s:g} s"
             )
         last_s = time_s
-        if words[1] not in ARROWS | dict.fromkeys(STOPS):
+        if words[1] not in ARROWS | dict.fromkeys(STOP_KEYS):
             raise UsageError(
-                f"{where}: there is no key '{words[1]}'",
+                f"{location}: there is no key '{words[1]}'",
                 "the keys are up, down, left, right, space",
             )
         keys.append((time_s, words[1]))
@@ -272,16 +273,17 @@ def read_script(path: Path) -> KeyScript:
     return KeyScript([(time_s - first_s, key) for time_s, key in keys])
 
 
-def _seconds(word: str, where: str) -> float:
-    """Convert a word of a file of keys to a time [s].
+def _parse_seconds(text: str, location: str) -> float:
+    """Convert a word in a file of keys to a time [s].
 
     Raises:
-        UsageError: If it is no number, negative or infinite. The message starts with `where`.
+        UsageError: If the word is not a number, or if the time is negative or infinite. The message
+            starts with `location`.
     """
     try:
-        time_s = float(word)
+        time_s = float(text)
     except ValueError:
         time_s = math.nan
     if not 0 <= time_s < math.inf:
-        raise UsageError(f"{where}: '{word}' is not a time in seconds")
+        raise UsageError(f"{location}: '{text}' is not a time in seconds")
     return time_s

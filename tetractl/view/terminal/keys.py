@@ -40,7 +40,7 @@ _MOUSE_EVENT = "\x1b[<"
 """Begin of an event of the mouse, in a terminal's mode 1006."""
 
 
-def decode(data: bytes) -> tuple[list[str], bytes]:
+def decode_keys(data: bytes) -> tuple[list[str], bytes]:
     """Split bytes read from a terminal into names of keys and an unfinished escape sequence.
 
     A printable character is named by itself, except "space". A mouse event is named by the
@@ -65,7 +65,7 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
     return keys, b""
 
 
-class _Unbuffered:
+class _RawInput:
     """A terminal's input in a mode without buffer and echo, until `restore`."""
 
     def __init__(self) -> None:
@@ -122,7 +122,7 @@ class Keyboard:
         self._on_leave = on_leave
         self._on_return = on_return
         self._unfinished = b""
-        self._is_suspend_asked = False
+        self._must_suspend = False
         self.interrupted = False
 
     def __enter__(self) -> Self:
@@ -130,7 +130,7 @@ class Keyboard:
             STOP_SIGNALS, self._interrupt
         )
         self._handlers = {n: signal.signal(n, handler) for n, handler in handlers.items()}
-        self._input = _Unbuffered()
+        self._input = _RawInput()
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -143,7 +143,7 @@ class Keyboard:
 
         After an interrupt, or if the terminal was closed, the result is ["q"].
         """
-        if self._is_suspend_asked:
+        if self._must_suspend:
             self._suspend()
         data = self._input.wait(timeout_s, 1024)
         if self.interrupted or data == b"":
@@ -151,14 +151,14 @@ class Keyboard:
         if data is None:
             self._unfinished = b""  # it was the Esc key alone
             return []
-        keys, self._unfinished = decode(self._unfinished + data)
+        keys, self._unfinished = decode_keys(self._unfinished + data)
         return keys
 
     def _ask_to_suspend(self, number: int, frame: FrameType | None) -> None:
-        self._is_suspend_asked = True
+        self._must_suspend = True
 
     def _suspend(self) -> None:
-        self._is_suspend_asked = False
+        self._must_suspend = False
         self._on_leave()
         self._input.restore()
         signal.signal(signal.SIGTSTP, signal.SIG_DFL)
@@ -205,7 +205,7 @@ class StopKey:
 
     def __enter__(self) -> Self:
         if self.listening:
-            self._input = _Unbuffered()
+            self._input = _RawInput()
             self._thread.start()
         return self
 
@@ -229,7 +229,7 @@ class StopKey:
                 if not self._unattended:
                     self._stop()
                 return
-            keys, unfinished = decode(unfinished + data)
+            keys, unfinished = decode_keys(unfinished + data)
             if not self._stop_keys.isdisjoint(keys):
                 self._stop()
             for key in keys:

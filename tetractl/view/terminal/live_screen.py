@@ -1,8 +1,8 @@
 """The live view of running trials in a terminal, updated while the control loop runs.
 
-    events of the trial -> TrialSoFar.moment --+
+    events of the trial -> RunningTrial.moment --+
                                                +-> Dashboard -> Screen
-    events of the batch -> footer, Tally ------+
+    events of the batch -> footer, ResultTally ------+
 
 In the lab, this module also prints notes, a line for each trial, and where to place robots.
 """
@@ -29,17 +29,17 @@ from tetractl.run.task import Task
 from tetractl.view.player import Moment
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.keys import STOP_HINT
-from tetractl.view.terminal.progress import Tally, duration, trial_line
+from tetractl.view.terminal.progress import ResultTally, format_duration, format_trial_line
 from tetractl.view.terminal.screen import Screen
 
-LEAST_S = 1 / 12
+IMAGE_INTERVAL_MIN_S = 1 / 12
 """Minimum time between two images of a trial [s]."""
 
 
-class TrialSoFar:
-    """What has been observed of a running trial so far. `moment` is its newest instant.
+class RunningTrial:
+    """The data of a running trial so far, from which `moment` creates its newest state.
 
-    For a running trial, it has the role that `Recording` has for a log.
+    `Recording` does the same for a log.
     """
 
     def __init__(self, start: Start) -> None:
@@ -86,7 +86,7 @@ class TrialSoFar:
             self._first_direction_ns = command.sent_ns
 
     def preview(self, plan: Plan, direction: float) -> None:
-        """Show the plan of a direction [rad] that is not sent, in place of the newest step's.
+        """Replace the plan of the newest step by the plan of a direction [rad] that is not sent.
 
         Nothing happens before the first step.
         """
@@ -105,36 +105,38 @@ class TrialSoFar:
     def warnings(self) -> tuple[str, ...]:
         """Describe which robots have failed the trial, and why.
 
-        A robot fails if it was in an obstacle or outside the arena. For robots that are outside
-        now, the text says where.
+        A robot has failed if it has entered an obstacle or left the arena. If a robot is outside
+        now, the text states on which side and how far.
         """
         setup = self.start.setup
         verdict = self._path.verdict(Poses.from_array(self._poses))
         names = np.array(setup.names)
         entered = [f"{name} entered an obstacle: lost" for name in names[verdict.in_obstacle()]]
-        left = [
-            f"{names[robot]} {self._way_out(robot)}"
+        outside = [
+            f"{names[robot]} {self._describe_exit(robot)}"
             for robot in np.flatnonzero(verdict.over_edge()).tolist()
         ]
-        return (*entered, *left)
+        return (*entered, *outside)
 
-    def _way_out(self, robot: int) -> str:
+    def _describe_exit(self, robot: int) -> str:
         """Describe where and how far outside the arena a robot is, or that it has been outside."""
         arena = self.start.setup.arena
         x, y = self._poses[robot, :2]
-        beyond = {
+        excess_by_side = {
             "left": arena.left - x,
             "right": x - arena.right,
             "below": arena.bottom - y,
             "above": y - arena.top,
         }
-        direction = max(beyond, key=lambda side: beyond[side])
-        if beyond[direction] <= 0:
+        direction = max(excess_by_side, key=lambda side: excess_by_side[side])
+        if excess_by_side[direction] <= 0:
             return "left the arena: lost"
-        return f"is outside: lost, {beyond[direction]:.4g} {self.start.setup.unit} {direction}"
+        return (
+            f"is outside: lost, {excess_by_side[direction]:.4g} {self.start.setup.unit} {direction}"
+        )
 
     def moment(self) -> Moment:
-        """Return all that a view shows of the trial now. Times count from the first direction."""
+        """Create the trial's present state for a view. Times count from the first direction."""
         setup = self.start.setup
         began_ns = self._first_direction_ns
         if began_ns is None:
@@ -150,10 +152,10 @@ class TrialSoFar:
             trail=np.array(self._trail).reshape(-1, len(setup.names), 2),
             step=self._step,
             totals=np.array(self._totals),
-            steps_end=0,
+            steps_total=0,
             result=self._result,
             events=tuple(events),
-            known="true" if self._result and self.start.plant.simulated else "measured",
+            pose_kind="true" if self._result and self.start.plant.simulated else "measured",
         )
 
 
@@ -166,10 +168,10 @@ class LiveView(Observer):
     Args:
         console: The terminal.
         wall: Returns the wall time [s].
-        hints: What keys do, if they do more than stop the robots.
-        aside: Shown instead of the results so far.
-        plain: Whether a person steers by hand. The view then also warns of obstacles and edges, and
-            does not show the number of the trial.
+        hints: What the keys do, if they do more than stop the robots.
+        side_text: Text shown instead of the results so far. Empty for the results.
+        steered_by_hand: Whether a person steers by hand. The view then also warns of obstacles and
+            edges, and does not show the number of the trial.
     """
 
     def __init__(
@@ -177,17 +179,17 @@ class LiveView(Observer):
         console: Console,
         wall: Callable[[], float] = time.monotonic,
         hints: tuple[str, ...] = (),
-        aside: str = "",
-        plain: bool = False,
+        side_text: str = "",
+        steered_by_hand: bool = False,
     ) -> None:
         self._wall = wall
         self._hints = hints
-        self._aside = aside
-        self._plain = plain
+        self._side_text = side_text
+        self._steered_by_hand = steered_by_hand
         self._screen = Screen(console)
-        self._tally = Tally()
+        self._tally = ResultTally()
         self._task: Task | None = None
-        self._trial: TrialSoFar | None = None
+        self._trial: RunningTrial | None = None
         self._drawn_s = -np.inf
 
     def __enter__(self) -> Self:
@@ -213,71 +215,71 @@ class LiveView(Observer):
 
     def on_start(self, start: Start) -> None:
         """Show the start of a new trial."""
-        self._trial = TrialSoFar(start)
+        self._trial = RunningTrial(start)
         self._draw()
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Add the robots' positions in new camera frames to the view."""
-        self._of_trial.on_samples(samples)
+        self._running_trial.on_samples(samples)
         self._draw_in_time()
 
     def on_step(self, step: Step) -> None:
         """Show a new control step."""
-        self._of_trial.on_step(step)
+        self._running_trial.on_step(step)
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
         """Pass a command on to the trial's state. It shows only by its effect on the robots."""
-        self._of_trial.on_command(command)
+        self._running_trial.on_command(command)
 
     def on_note(self, note: Note) -> None:
         """Show a new note of the trial in the list of events."""
-        self._of_trial.on_note(note)
+        self._running_trial.on_note(note)
         self._draw_in_time()
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Show the outcome of the trial."""
-        self._of_trial.on_stop(stop, result)
+        self._running_trial.on_stop(stop, result)
         self._draw()
 
-    def say(self, aside: str, *hints: str) -> None:
-        """Show the last image again in the plain style, with another text aside and other hints.
+    def show_text(self, side_text: str, *hints: str) -> None:
+        """Show a text beside the last image, with other hints, in the style for steering by hand.
 
-        Later images have this style and this text as well.
+        Later images keep this style and this text.
         """
-        self._aside = aside
+        self._side_text = side_text
         self._hints = hints
-        self._plain = True
+        self._steered_by_hand = True
         self._draw()
 
     def preview(self, plan: Plan, direction: float) -> None:
         """Show where robots would go under a plan whose direction [rad] is not sent."""
-        self._of_trial.preview(plan, direction)
+        self._running_trial.preview(plan, direction)
         self._draw()
 
     @property
-    def _of_trial(self) -> TrialSoFar:
+    def _running_trial(self) -> RunningTrial:
         assert self._trial is not None, "a trial's first message is its start"
         return self._trial
 
     def _draw_in_time(self) -> None:
-        if self._wall() - self._drawn_s >= LEAST_S:
+        if self._wall() - self._drawn_s >= IMAGE_INTERVAL_MIN_S:
             self._draw()
 
     def _draw(self) -> None:
         if not self._screen.is_open:
             return
         self._drawn_s = self._wall()
-        start = self._of_trial.start
+        start = self._running_trial.start
         hints = self._hints or ("Ctrl-C stops" if start.plant.virtual else STOP_HINT,)
         self._screen.show(
             Dashboard(
-                self._of_trial.moment(),
+                self._running_trial.moment(),
                 heading=f"{start.setup.name}, {start.plant.kind}",
-                footer=Footer("", 0, "", hints) if self._plain else self._footer(hints),
-                notes=self._of_trial.warnings() if self._plain else (),
-                aside=self._aside or self._tally.summary(start.setup.unit),
-                plain=self._plain,
+                footer=Footer("", 0, "", hints) if self._steered_by_hand else self._footer(hints),
+                notes=self._running_trial.warnings() if self._steered_by_hand else (),
+                side_text=self._side_text or self._tally.summary(start.setup.unit),
+                steered_by_hand=self._steered_by_hand,
             )
         )
 
@@ -286,20 +288,20 @@ class LiveView(Observer):
 
         Trials count from 1. The time is left out until a trial has ended.
         """
-        ended = len(self._tally.errors)
-        count = 1 if self._task is None else self._task.trial_count
+        n_ended = len(self._tally.errors)
+        n_trials = 1 if self._task is None else self._task.trial_count
         number = 1 if self._task is None else self._task.trial + 1
-        taken_s = self._wall() - self._tally.began_s
+        elapsed_s = self._wall() - self._tally.began_s
         time_left = ""
-        if ended and taken_s:
-            time_left = f"{duration(taken_s / ended * (count - ended))} left"
-        return Footer(f"trial {number} of {count}", ended / count, time_left, hints)
+        if n_ended and elapsed_s:
+            time_left = f"{format_duration(elapsed_s / n_ended * (n_trials - n_ended))} left"
+        return Footer(f"trial {number} of {n_trials}", n_ended / n_trials, time_left, hints)
 
 
 class TerminalPrompt:
-    """Asks a person at the terminal to place robots: prints where they must stand.
+    """A prompt at the terminal that asks a person to place robots.
 
-    It then waits until the person presses Enter.
+    It prints where the robots must stand, and notices when the person presses Enter.
     """
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
@@ -310,16 +312,19 @@ class TerminalPrompt:
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
         """Print where robots must stand, with questions, unless the text is the same as before.
 
-        A new text makes earlier presses of Enter count for nothing. Without `lines`, all robots
-        stand on their starts.
+        A new text discards earlier presses of Enter.
+
+        Args:
+            lines: Where each misplaced robot must stand. Empty if all robots stand on their starts.
+            questions: Questions that the person must answer with yes before the start.
         """
         if (lines, questions) != self._shown:
             self._shown = lines, questions
             self._entered.clear()
-            ready = "all robots stand on their starts: press Enter to start"
-            ready += ", if your answers are yes" if questions else ""
-            for text in (*questions, "; ".join(lines) or ready):
-                self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+            ready_text = "all robots stand on their starts: press Enter to start"
+            ready_text += ", if your answers are yes" if questions else ""
+            for line in (*questions, "; ".join(lines) or ready_text):
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
         """Return whether the person has pressed Enter since the last text was printed.
@@ -333,18 +338,18 @@ class TerminalPrompt:
         return True
 
 
-class LabWatch(LiveView):
-    """A view of a batch in the lab: a line for each trial and, if wanted, a live view of it.
+class LabView(LiveView):
+    """A view of a batch in the lab: a line for each trial and, if wanted, a live view.
 
     Between trials, while robots are placed, the live view is closed. It opens when a trial starts.
 
     Args:
-        console: Notes, and the line of a trial that failed, are printed here.
-        quiet: The lines of other trials are printed here. It may be silent.
+        console: The console for notes and for the lines of failed trials.
+        quiet: The console for the lines of other trials. It may be silent.
         unit: The length unit.
         live: Whether to show a live view.
         hints: What keys do, if they do more than stop the robots.
-        aside: Shown instead of the results so far.
+        side_text: Shown instead of the results so far.
     """
 
     def __init__(
@@ -354,9 +359,9 @@ class LabWatch(LiveView):
         unit: str,
         live: bool,
         hints: tuple[str, ...] = (),
-        aside: str = "",
+        side_text: str = "",
     ) -> None:
-        super().__init__(console, hints=hints, aside=aside)
+        super().__init__(console, hints=hints, side_text=side_text)
         self._console = console
         self._quiet = quiet
         self._unit = unit
@@ -374,9 +379,9 @@ class LabWatch(LiveView):
         super().trial_ended(ending)
         self._show_lines()
         if ending.result:
-            text = trial_line(ending.task, ending.result, self._unit)
+            line = format_trial_line(ending.task, ending.result, self._unit)
             console = self._console if ending.failure else self._quiet
-            console.print(text, highlight=False, markup=False, soft_wrap=True)
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: Start) -> None:
         """Open the live view of a new trial, if it is wanted, and show the trial's start."""
@@ -404,6 +409,6 @@ class LabWatch(LiveView):
 
     def _print_notes(self) -> None:
         for note in self._unprinted:
-            text = f"{note.level}: {note.text}"
-            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+            line = f"{note.level}: {note.text}"
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
         self._unprinted.clear()

@@ -23,7 +23,7 @@ BAR_INTERVAL_S = 0.2
 """Minimum time between two changes of a notebook's bar [s]."""
 
 
-class Tally:
+class ResultTally:
     """The results of a batch's trials so far: their errors, and how many ended badly.
 
     Attributes:
@@ -110,7 +110,7 @@ class BatchProgress(_TrialsBar):
 
     def __init__(self, console: Console, total: int, unit: str = "mm") -> None:
         super().__init__(console, total)
-        self._tally = Tally()
+        self._tally = ResultTally()
         self._unit = unit
 
     def trial_ended(self, ending: Ending) -> None:
@@ -119,7 +119,7 @@ class BatchProgress(_TrialsBar):
             self._tally.add(ending.result)
         self._advance(_remaining_time(ending), self._tally.summary(self._unit))
         if ending.result and not self._bar:
-            self._print_line(trial_line(ending.task, ending.result, self._unit))
+            self._print_line(format_trial_line(ending.task, ending.result, self._unit))
 
 
 class StudyProgress(_TrialsBar):
@@ -153,7 +153,9 @@ class StudyProgress(_TrialsBar):
             self._is_estimate_printed = True
             if ending.remaining_s:
                 basis = f"estimated from the first {self._result_count} trials"
-                self._print_line(f"expected duration {duration(ending.remaining_s)}, {basis}")
+                self._print_line(
+                    f"expected duration {format_duration(ending.remaining_s)}, {basis}"
+                )
         lines_before = self._lines_due()
         self._advance(_remaining_time(ending))
         if self._lines_due() > lines_before and not (self._bar or self._quiet):
@@ -165,7 +167,7 @@ class StudyProgress(_TrialsBar):
         return self._ended_count * STUDY_LINES // self._trial_count
 
 
-def progress_of_script(total: int) -> RunObserver:
+def create_script_progress(total: int) -> RunObserver:
     """Create the progress display of `total` trials for a script or, in a notebook, for a cell."""
     if "IPython" in sys.modules:
         shell = resolve_name("IPython:get_ipython")()
@@ -253,10 +255,10 @@ class NotebookProgress(RunObserver):
 
 def _remaining_time(ending: Ending) -> str:
     """Describe how long the remaining trials will take, or return "" if that is unknown."""
-    return "" if ending.remaining_s is None else f"{duration(ending.remaining_s)} left"
+    return "" if ending.remaining_s is None else f"{format_duration(ending.remaining_s)} left"
 
 
-def trial_line(task: Task, result: Result, unit: str) -> str:
+def format_trial_line(task: Task, result: Result, unit: str) -> str:
     """Format the line about a finished trial.
 
     Args:
@@ -272,7 +274,7 @@ def trial_line(task: Task, result: Result, unit: str) -> str:
     )
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Format a time, rounded to whole seconds, for example as 45 s, 3 min 20 s or 2 h 5 min.
 
     From one hour on, seconds are left out.

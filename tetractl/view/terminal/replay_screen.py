@@ -13,17 +13,17 @@ from rich.text import Text
 from tetractl.core.clock import Clock
 from tetractl.core.plan import State
 from tetractl.tools.table.table import create_length_format
-from tetractl.view.plan_words import doing, search_end
+from tetractl.view.plan_words import describe_activity, describe_search_end
 from tetractl.view.player import Playback, Player, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fill_rows, fit_line
 from tetractl.view.terminal.keys import Keyboard
 from tetractl.view.terminal.screen import Screen
 
-SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
+SPACE_ACTIONS = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
 """What the space bar does, by the player's state."""
-TURNS = {"n": 1, "p": -1}
+TRIAL_STEP_BY_KEY = {"n": 1, "p": -1}
 """Keys that select another trial, and by how many trials each moves on."""
-KEYS = {
+KEY_HELP = {
     "space": "pause or continue; at the end: play again from the start",
     "←→": "1 s back or forward",
     ", .": "previous or next control step, and pause",
@@ -43,7 +43,7 @@ def play_trials(
     console: Console,
     player: Player,
     count: int = 1,
-    turn_to: Callable[[int, Player], Player] | None = None,
+    select_trial: Callable[[int, Player], Player] | None = None,
 ) -> bool:
     """Play recorded trials until q is pressed, beginning with the first.
 
@@ -53,36 +53,43 @@ def play_trials(
         console: The console.
         player: The player of the first trial.
         count: Number of trials.
-        turn_to: Returns the player of trial i, which continues like the present player. None to
-            play only the first.
+        select_trial: Returns the player of trial i, which continues like the present player. None
+            to play only the first.
 
     Returns:
         Whether a signal ended the play.
     """
     index = 0
-    shows_help = False
-    drawn = None
+    is_help_shown = False
+    drawn_state = None
     screen = Screen(console)
     # the keyboard is the outer context: no signal interrupts before the screen is restored
     with Keyboard(on_leave=screen.close, on_return=screen.open) as keyboard, screen:
         while player.state is not Playback.QUIT:
             player.update()
             # what a picture depends on: while it is the same, nothing is drawn
-            wanted = (index, player.now, player.rate, player.state, console.size, shows_help)
-            if wanted != drawn:
-                screen.show(Help() if shows_help else dashboard(player, index, count))
-                drawn = wanted
+            displayed_state = (
+                index,
+                player.now_ns,
+                player.rate,
+                player.state,
+                console.size,
+                is_help_shown,
+            )
+            if displayed_state != drawn_state:
+                screen.show(KeyHelp() if is_help_shown else create_dashboard(player, index, count))
+                drawn_state = displayed_state
             for key in keyboard.read(KEY_WAIT_S):
-                next_index = index + TURNS.get(key, 0)
-                if turn_to and next_index != index and 0 <= next_index < count:
+                next_index = index + TRIAL_STEP_BY_KEY.get(key, 0)
+                if select_trial and next_index != index and 0 <= next_index < count:
                     index = next_index
-                    player = turn_to(index, player)
-                shows_help = key == "?" and not shows_help
+                    player = select_trial(index, player)
+                is_help_shown = key == "?" and not is_help_shown
                 player.press(key)
     return keyboard.interrupted
 
 
-def dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
+def create_dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
     """Create the dashboard that shows a recorded trial at the player's present time.
 
     Args:
@@ -92,10 +99,10 @@ def dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
     """
     recording = player.recording
     log = recording.log
-    which = f" ({index + 1} of {count})" if count > 1 else ""
+    trial_position = f" ({index + 1} of {count})" if count > 1 else ""
     return Dashboard(
-        recording.at(player.now),
-        heading=f"{log.start.setup.name}, trial {log.start.trial}{which}",
+        recording.moment_at(player.now_ns),
+        heading=f"{log.start.setup.name}, trial {log.start.trial}{trial_position}",
         footer=_footer(player, has_next=index + 1 < count),
         notes=("damaged log", *log.damage.lost) if log.damage else (),
     )
@@ -105,31 +112,31 @@ def _footer(player: Player, has_next: bool) -> Footer:
     """Return the lowest line: the playing speed, the time, and the keys, the most useful first."""
     recording = player.recording
     sign = "▶" if player.state is Playback.PLAYING else "‖"
-    now_s = recording.log.elapsed_s(player.now)
+    now_s = recording.log.elapsed_s(player.now_ns)
     end_s = recording.log.elapsed_s(recording.end_ns)
-    end = f"{end_s:.1f}"
-    hints = [f"space {SPACE.get(player.state, '')}", "? keys", "q quit"]
+    end_text = f"{end_s:.1f}"
+    hints = [f"space {SPACE_ACTIONS.get(player.state, '')}", "? keys", "q quit"]
     if has_next:
         hints.append("n next trial")
     hints += ["←→ ±1 s", ". step", "e event", "+/- rate"]
     return Footer(
-        before=f"{sign} {player.rate:g}×",
+        left_text=f"{sign} {player.rate:g}×",
         fraction=now_s / end_s if end_s > 0 else 1.0,
-        after=f"{now_s:{len(end)}.1f} / {end} s",
+        right_text=f"{now_s:{len(end_text)}.1f} / {end_text} s",
         hints=tuple(hints),
     )
 
 
-class Help:
+class KeyHelp:
     """A list of the player's keys, which fills the space available; the library rich prints it."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = options.max_width
         height = options.height or console.height
-        key_width = max(len(key) for key in KEYS)
+        key_width = max(len(key) for key in KEY_HELP)
         title = [Text("Keys of the player", "bold"), Text()]
-        lines = title if height > len(KEYS) + len(title) else []
-        for key, action in KEYS.items():
+        lines = title if height > len(KEY_HELP) + len(title) else []
+        for key, action in KEY_HELP.items():
             lines.append(Text.assemble((f" {key:<{key_width}}", "bold"), f"  {action}"))
         while len(lines) < height:
             lines.append(Text())
@@ -161,10 +168,10 @@ def print_lines(
     lines = _lines(recording, start_ns, until_ns)
     while True:
         began_ns = wall.now()
-        for time_ns, text in lines:
+        for time_ns, line in lines:
             if waits:
                 wall.sleep_until(began_ns + math.ceil((time_ns - start_ns) / speed))
-            print(text, flush=waits)
+            print(line, flush=waits)
         if not loop or not lines:
             return
         wall.sleep_until(began_ns + math.ceil((until_ns - start_ns) / speed))
@@ -176,7 +183,7 @@ def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int
     At the same time, a step comes before events, and the result comes last.
     """
     lines = [
-        (step_ns, step_line(recording, index))
+        (step_ns, format_step(recording, index))
         for index, step_ns in enumerate(recording.step_ns.tolist())
     ]
     lines += [
@@ -185,30 +192,31 @@ def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int
     ]
     lines.sort(key=itemgetter(0))
     if recording.log.result is not None:
-        lines.append((recording.end_ns, result_line(recording)))
-    return [(time_ns, text) for time_ns, text in lines if start_ns <= time_ns <= until_ns]
+        lines.append((recording.end_ns, format_result(recording)))
+    return [(time_ns, line) for time_ns, line in lines if start_ns <= time_ns <= until_ns]
 
 
-def result_line(recording: Recording) -> str:
+def format_result(recording: Recording) -> str:
     """Return a line of text that says how a trial ended, with its final error.
 
     It must have a result.
     """
-    end = recording.at(recording.end_ns)
+    final_moment = recording.moment_at(recording.end_ns)
     result = recording.log.result
     assert result is not None, "the caller has checked this"
     unit = recording.log.start.setup.unit
     error = create_length_format(result.total_error)(result.total_error)
     time_s = recording.log.elapsed_s(recording.end_ns)
-    return f"{time_s:6.2f} s  {result.outcome.value}, final total error {error} {unit} {end.known}"
+    final_error = f"final total error {error} {unit} {final_moment.pose_kind}"
+    return f"{time_s:6.2f} s  {result.outcome.value}, {final_error}"
 
 
-def step_line(recording: Recording, index: int) -> str:
+def format_step(recording: Recording, index: int) -> str:
     """Return a line of text about the control step of a recording with this index, from 0."""
     setup = recording.log.start.setup
     step = recording.log.steps[index]
     plan = step.plan
-    direction = doing(plan)
+    direction = describe_activity(plan)
     state = ""
     if step.command.direction is not None:
         degrees = math.degrees(math.remainder(step.command.direction, math.tau))
@@ -223,5 +231,5 @@ def step_line(recording: Recording, index: int) -> str:
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
         f"J {cost} {setup.unit}  total error {recording.totals[index]:7.1f} {setup.unit} measured  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
-        f"{search_end(plan.search)}{state}"
+        f"{describe_search_end(plan.search)}{state}"
     )

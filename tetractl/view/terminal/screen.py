@@ -6,7 +6,7 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 
-def shows_pictures(console: Console) -> bool:
+def can_show_screens(console: Console) -> bool:
     """Check whether a console can show changing screens: it moves its cursor and has UTF-8."""
     return console.is_terminal and not (console.is_dumb_terminal or console.options.ascii_only)
 

@@ -16,7 +16,7 @@ from tetractl.spec.load import parse_spec
 from tetractl.verification.verify import verify
 from tetractl.view.figures.draw import draw
 from tetractl.view.player import Recording
-from tetractl.view.terminal.replay_screen import step_line
+from tetractl.view.terminal.replay_screen import format_step
 
 pytestmark = pytest.mark.slow
 
@@ -65,7 +65,7 @@ def test_it_is_verified_whole(path):
 @pytest.mark.long
 def test_it_is_shown(log):
     k = next(step.k for step in log.steps if step.command.action == FieldOff())
-    assert "field off" in step_line(Recording(log), k)
+    assert "field off" in format_step(Recording(log), k)
     assert trial_data(log, "t")["steps"]["u"]
     for kind in ("trajectory", "errors", "over-time"):
         draw(kind, [log])

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from tetractl.view.figures.axes import (
     CHARACTER_IN,
     LINE_IN,
-    LOG_FROM,
-    log_axis,
+    LOG_RATIO_MIN,
     name_categories,
+    needs_log_axis,
     positive,
-    spans_orders,
+    set_log_axis,
 )
 
 pytestmark = pytest.mark.slow
@@ -53,13 +53,13 @@ def test_names_that_are_too_long_are_upright_and_take_their_length(axes):
     ("errors", "spans"),
     [
         ([1.0, 2.0], False),
-        ([1.0, LOG_FROM], True),
-        ([1.0, 0.99 * LOG_FROM], False),
+        ([1.0, LOG_RATIO_MIN], True),
+        ([1.0, 0.99 * LOG_RATIO_MIN], False),
         ([0.0, 1000.0], False),  # no logarithm
     ],
 )
 def test_errors_that_span_orders_need_a_logarithmic_axis(errors, spans):
-    assert spans_orders(np.array(errors)) == spans
+    assert needs_log_axis(np.array(errors)) == spans
 
 
 POSITIVE = st.lists(st.floats(1e-9, 1e9), min_size=1, max_size=6)
@@ -71,7 +71,7 @@ def test_a_logarithmic_axis_extends_beyond_its_values_by_fractions_of_their_rang
     values, below, above
 ):
     drawn = Figure().add_subplot()
-    log_axis(drawn, np.array([np.nan, *values]), below, above)
+    set_log_axis(drawn, np.array([np.nan, *values]), below, above)
     low, high = drawn.get_ylim()
     least, greatest = min(values), max(values)
     assert low <= least and greatest <= high
@@ -85,7 +85,7 @@ def test_a_logarithmic_axis_extends_beyond_its_values_by_fractions_of_their_rang
 
 def test_a_logarithmic_axis_without_values_has_limits():
     drawn = Figure().add_subplot()
-    log_axis(drawn, np.full(3, np.nan), 0.1, 0.1)
+    set_log_axis(drawn, np.full(3, np.nan), 0.1, 0.1)
     low, high = drawn.get_ylim()
     assert 0 < low < 0.1 and high > 10
 
@@ -101,7 +101,7 @@ def test_a_logarithmic_axis_without_values_has_limits():
 )
 def test_the_ticks_of_a_logarithmic_axis_fit_the_ratio_of_its_limits(low, high, shows):
     drawn = Figure().add_subplot()
-    log_axis(drawn, np.array([low, high]), 0.0, 0.0)
+    set_log_axis(drawn, np.array([low, high]), 0.0, 0.0)
     ticks = {float(f"{tick:.6g}") for tick in drawn.get_yticks() if low <= tick <= high}
     assert ticks == shows
 
@@ -118,7 +118,7 @@ def test_the_ticks_of_a_logarithmic_axis_fit_the_ratio_of_its_limits(low, high, 
 )
 def test_numbers_are_decimal_in_the_usual_range_and_powers_of_ten_beyond(low, high, text):
     drawn = Figure().add_subplot()
-    log_axis(drawn, np.array([low, high]), 0.0, 0.0)
+    set_log_axis(drawn, np.array([low, high]), 0.0, 0.0)
     assert text in drawn.yaxis.get_major_formatter()(0.01, 0)
 
 

@@ -12,9 +12,9 @@ from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.view import style
 from tetractl.view.figures.convergence import convergence_figure
-from tetractl.view.figures.curves import end_s, robot_curves
-from tetractl.view.figures.errors import errors_at, errors_figure
-from tetractl.view.figures.trials import NUMBERED
+from tetractl.view.figures.curves import create_robot_curves, end_s
+from tetractl.view.figures.errors import compute_errors_at, errors_figure
+from tetractl.view.figures.trials import NUMBERED_MIN
 
 pytestmark = pytest.mark.slow
 
@@ -34,15 +34,15 @@ def test_the_error_at_a_time_is_the_last_one_measured_until_then(log):
     before_end = log.frames_s[log.frames_s < end_s(log) - 0.15]
     between = before_end + 0.05
     for times in (before_end, between):
-        errors = errors_at(log, times)
+        errors = compute_errors_at(log, times)
         assert errors.tolist() == [distances(log, row) for row in range(len(times))]
-    assert errors_at(log, np.array([-5.0])).tolist() == [distances(log, 0)]
+    assert compute_errors_at(log, np.array([-5.0])).tolist() == [distances(log, 0)]
 
 
 def test_the_error_of_a_robot_that_is_not_tracked_is_held(log):
     valid = log.valid.copy()
     valid[3:6, 1] = False
-    errors = errors_at(replace(log, valid=valid), log.frames_s[:8])
+    errors = compute_errors_at(replace(log, valid=valid), log.frames_s[:8])
     held = distances(log, 2)[1]
     assert errors[3:6, 1].tolist() == [held] * 3
     assert errors[3:6, 0].tolist() == [distances(log, row)[0] for row in (3, 4, 5)]
@@ -52,10 +52,10 @@ def test_the_error_of_a_robot_that_is_not_tracked_is_held(log):
 def test_from_its_end_on_a_trial_keeps_the_error_of_its_result(log):
     end = end_s(log)
     times = np.array([end - 1e-6, end, end + 1, end + 100])
-    errors = errors_at(log, times).tolist()
+    errors = compute_errors_at(log, times).tolist()
     assert errors[0] != list(log.result.robot_errors)
     assert errors[1:] == [list(log.result.robot_errors)] * 3
-    unfinished = errors_at(replace(log, result=None), times).tolist()
+    unfinished = compute_errors_at(replace(log, result=None), times).tolist()
     assert unfinished[-1] == distances(log, -1)
 
 
@@ -138,13 +138,13 @@ def test_each_folder_has_panels_of_its_own_up_to_twelve(log):
 
 
 @pytest.mark.parametrize(
-    ("robots", "has_band"), [(3, True), (NUMBERED - 1, True), (NUMBERED, False)]
+    ("robots", "has_band"), [(3, True), (NUMBERED_MIN - 1, True), (NUMBERED_MIN, False)]
 )
 def test_curves_of_very_many_robots_have_no_bands(robots, has_band):
     setup = random_trials.experiment(robots).setup
     values = np.arange(2.0 * robots).reshape(2, robots)
     band = np.stack([values - 1, values + 1])
-    curves = robot_curves(setup, values, band, "{:.0f}".format)
+    curves = create_robot_curves(setup, values, band, "{:.0f}".format)
     assert [curve.values.tolist() for curve in curves] == values.T.tolist()
     assert all((curve.band is not None) == has_band for curve in curves)
     assert curves[1].name.endswith(f" {robots + 1}")

@@ -21,7 +21,7 @@ from tetractl.core.registries import FIGURES
 from tetractl.core.trial import PlantInfo
 from tetractl.view import figures, style
 from tetractl.view.figures.draw import draw
-from tetractl.view.figures.errors import errors_at
+from tetractl.view.figures.errors import compute_errors_at
 from tetractl.view.figures.trajectory import trajectory_figure
 
 pytestmark = pytest.mark.slow
@@ -36,7 +36,7 @@ def test_an_error_at_the_time_of_a_frame_is_that_of_the_frame():
     log = replace(three_robots(), result=None)
     time_s = (log.mocap_ns - log.began_ns) / SECOND
     distances = np.hypot(*(log.mocap[:, :, :2] - TARGETS).T).T
-    assert errors_at(log, time_s[:9]) == pytest.approx(distances[:9])
+    assert compute_errors_at(log, time_s[:9]) == pytest.approx(distances[:9])
 
 
 @pytest.fixture(scope="module")

@@ -14,22 +14,22 @@ from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds
 from tetractl.view.figures.trajectory import (
     FAR_OUTSIDE_MAX,
-    LAST_TIME,
     MARGIN,
+    MARKED_FRACTION_MAX,
     NAMED_MAX,
     TICK,
     TIMES_MAX,
     TRUTH_DISTANCE_MIN,
+    _choose_marked_times,
     _compose_heading,
     _create_titled_figure,
+    _find_visible_truth,
     _mark_time,
-    _marked_times,
     _mean_and_std,
     _round_step,
     _set_limits,
-    _visible_truth,
 )
-from tetractl.view.figures.trials import final_poses
+from tetractl.view.figures.trials import find_final_poses
 
 pytestmark = pytest.mark.slow
 
@@ -90,17 +90,17 @@ def test_the_limits_contain_the_arena_and_all_paths_but_no_outlier(path, limits)
 
 
 def test_few_round_times_are_marked_before_the_end(log):
-    times_s = _marked_times(log)
+    times_s = _choose_marked_times(log)
     end_s = log.elapsed_s(int(log.mocap_ns[-1]))
     assert 2 <= len(times_s) <= TIMES_MAX
     assert np.diff(times_s) == pytest.approx(times_s[0])
-    assert times_s[-1] < LAST_TIME * end_s <= times_s[-1] + times_s[0]
+    assert times_s[-1] < MARKED_FRACTION_MAX * end_s <= times_s[-1] + times_s[0]
 
 
 def test_no_time_is_marked_without_a_frame_after_the_first_direction(log):
-    assert _marked_times(replace(log, mocap_ns=log.mocap_ns[:0])) == []
+    assert _choose_marked_times(replace(log, mocap_ns=log.mocap_ns[:0])) == []
     before = log.mocap_ns[:5] - log.mocap_ns[5] + log.began_ns
-    assert _marked_times(replace(log, mocap_ns=before)) == []
+    assert _choose_marked_times(replace(log, mocap_ns=before)) == []
 
 
 def test_a_tick_points_along_the_heading_and_its_time_is_to_the_left(log):
@@ -134,15 +134,15 @@ def test_no_tick_is_drawn_where_a_robot_was_not_seen(log):
 def test_a_true_path_is_shown_if_one_pose_is_visibly_elsewhere(log, share, is_shown):
     truth = log.mocap.copy()
     truth[7, 2, 1] -= share * TRUTH_DISTANCE_MIN * log.start.setup.arena.longer_side
-    shown = _visible_truth(replace(log, truth=truth))
+    shown = _find_visible_truth(replace(log, truth=truth))
     assert (shown is not None) == is_shown
     if is_shown:
         assert np.array_equal(shown, truth[..., :2])
-    assert _visible_truth(replace(log, truth=None)) is None
+    assert _find_visible_truth(replace(log, truth=None)) is None
 
 
 def test_the_means_of_a_title_leave_out_trials_that_were_not_completed(log):
-    far = final_poses(log)[:, :2]
+    far = find_final_poses(log)[:, :2]
     off = far + [[300.0, 0.0]] * 3
     error = log.start.setup.distances(far)
     cut = replace(cut_short(log, 5), log=log.log)
@@ -155,7 +155,7 @@ def test_the_means_of_a_title_leave_out_trials_that_were_not_completed(log):
 
 def test_trials_of_several_folders_have_no_mean(log):
     logs = [replace(log, log=f"{folder}/0.mcap") for folder in "ab"]
-    ends = np.array([final_poses(log)[:, :2]] * 2)
+    ends = np.array([find_final_poses(log)[:, :2]] * 2)
     title, entries = _compose_heading(logs, ends)
     assert title == "2 trials of 2 folders"
     assert entries == list(log.start.setup.names)

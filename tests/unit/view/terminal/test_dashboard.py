@@ -17,8 +17,8 @@ from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
 from tetractl.view.player import Moment, Player, Recording, span
 from tetractl.view.terminal.dashboard import Dashboard, Footer, _end_lines, _format_length
-from tetractl.view.terminal.replay_screen import dashboard, step_line
-from tetractl.view.terminal.screen import shows_pictures
+from tetractl.view.terminal.replay_screen import create_dashboard, format_step
+from tetractl.view.terminal.screen import can_show_screens
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ class StillWall:
 def screen(recording, width, height, seconds, **options):
     console = terminal(width, height, **options)
     player = Player(recording, StillWall(), span(recording, seconds, None), paused=True)
-    picture = dashboard(player)
+    picture = create_dashboard(player)
     with console.capture() as captured:
         console.print(picture, height=height, end="")
     return re.sub(r"\x1b\[[0-9;]*m", "", captured.get()).split("\n")
@@ -93,8 +93,8 @@ def test_robots_that_stand_are_named(recording):
     lines = screen(with_green_standing, 80, 24, 3)
     (of_green,) = (line for line in lines if " green " in line)
     assert "stands" in of_green
-    assert step_line(with_green_standing, 3).endswith("green: standing")
-    assert "stand" not in "".join([*screen(recording, 80, 24, 3), step_line(recording, 3)])
+    assert format_step(with_green_standing, 3).endswith("green: standing")
+    assert "stand" not in "".join([*screen(recording, 80, 24, 3), format_step(recording, 3)])
 
 
 @pytest.mark.parametrize(("state", "says"), [(State.RESTING, True), (State.STUCK, False)])
@@ -115,9 +115,9 @@ def test_a_pause_says_that_the_next_plan_is_searched_for(recording, state, says)
 
 
 def test_a_terminal_shows_pictures_if_it_has_utf8_with_or_without_colour():
-    assert shows_pictures(terminal())
-    assert shows_pictures(terminal(no_color=True))
-    assert not shows_pictures(terminal(encoding="ascii"))
+    assert can_show_screens(terminal())
+    assert can_show_screens(terminal(no_color=True))
+    assert not can_show_screens(terminal(encoding="ascii"))
 
 
 def with_events(recording):

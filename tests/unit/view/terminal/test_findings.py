@@ -6,7 +6,7 @@ import pytest
 
 from tetractl.core.protocols import RobotStatus
 from tetractl.lab.preflight import Preflight, RobotFinding
-from tetractl.view.terminal.findings import preflight_items, print_findings
+from tetractl.view.terminal.findings import create_preflight_items, print_findings
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +24,7 @@ def test_everything_found_is_printed_and_is_in_the_json(capsys):
         assert line in lines
     assert "age of frames on arrival: 8.0 ms, at most 12.5 ms" in lines
     assert lines[-1] == "not ready"
-    document = preflight_items(FOUND)
+    document = create_preflight_items(FOUND)
     assert (document["ready"], document["robots"][0]["off_mm"]) == (False, 3.4)
 
 

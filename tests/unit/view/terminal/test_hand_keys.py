@@ -7,16 +7,23 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.spec.load import parse_contents
-from tetractl.view.terminal.hand_keys import MOUSE_OFF, MOUSE_ON, HandKeys, Wish, read_script, task
+from tetractl.view.terminal.hand_keys import (
+    MOUSE_OFF_SEQUENCE,
+    MOUSE_ON_SEQUENCE,
+    HandKeys,
+    SteeringWish,
+    describe_task,
+    read_key_script,
+)
 
 NORTH = math.pi / 2
 
 
 def wanted(*keys):
     """What is wanted after these keys."""
-    wish = Wish()
+    wish = SteeringWish()
     for key in keys:
-        wish = wish.after(key)
+        wish = wish.after_key(key)
     return wish
 
 
@@ -36,12 +43,12 @@ def wanted(*keys):
     ],
 )
 def test_arrows_and_drags_are_directions(keys, degrees):
-    assert math.degrees(wanted(*keys).answer) == pytest.approx(degrees)
+    assert math.degrees(wanted(*keys).direction_or_stop) == pytest.approx(degrees)
 
 
 @pytest.mark.parametrize("key", ["space", "q"])
 def test_space_stops(key):
-    assert wanted("up", key, "down").answer is None
+    assert wanted("up", key, "down").direction_or_stop is None
 
 
 def test_the_first_key_is_waited_for():
@@ -93,24 +100,24 @@ def test_the_task_names_who_turns_fastest_and_slowest():
         "controller": {"type": "mpc"},
     }
     two = parse_contents(contents | {"robots": robots}, "x").experiment.setup
-    assert "(lea fastest, kim slowest)" in task(two, disturbed=False)
-    assert "obstacle" not in task(two, disturbed=False)
-    assert "Dots: where that leads" in task(two, disturbed=False)
-    assert "Dots: about where that leads" in task(two, disturbed=True)
+    assert "(lea fastest, kim slowest)" in describe_task(two, disturbed=False)
+    assert "obstacle" not in describe_task(two, disturbed=False)
+    assert "Dots: where that leads" in describe_task(two, disturbed=False)
+    assert "Dots: about where that leads" in describe_task(two, disturbed=True)
     obstacle = {"type": "circle", "center": [0.3, 0.3], "radius": 0.01}
     with_one = parse_contents(contents | {"robots": robots, "obstacles": [obstacle]}, "x")
-    assert "colour, round the yellow obstacle: total error 0. SPACE" in task(
+    assert "colour, round the yellow obstacle: total error 0. SPACE" in describe_task(
         with_one.experiment.setup, disturbed=False
     )
     one = parse_contents(contents | {"robots": robots[:1]}, "x").experiment.setup
-    assert "fastest" not in task(one, disturbed=False)
+    assert "fastest" not in describe_task(one, disturbed=False)
 
 
 def script(folder, text):
     """A file of keys, read."""
     file = folder / "keys.txt"
     file.write_text(text)
-    return read_script(file)
+    return read_key_script(file)
 
 
 RIGHT = {
@@ -157,7 +164,7 @@ def test_a_key_that_answers_the_words_before_they_are_waited_for_counts(key, ans
     """Regression: it was forgotten, as when the machine is slow."""
     steering = HandKeys(lambda: False)
     steering.press("q")
-    steering.forget()
+    steering.forget_answer()
     steering.press(key)
     assert steering.await_answer() == answer
 
@@ -190,7 +197,7 @@ def test_a_hand_that_still_steers_answers_nothing():
 def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):
     steering = HandKeys(lambda: False)
     with pytest.raises(RuntimeError), steering:
-        assert capsys.readouterr().err == MOUSE_ON
+        assert capsys.readouterr().err == MOUSE_ON_SEQUENCE
         raise RuntimeError
-    assert capsys.readouterr().err == MOUSE_OFF
+    assert capsys.readouterr().err == MOUSE_OFF_SEQUENCE
     assert steering.ask(0.0) is None  # a thread that still asks ends

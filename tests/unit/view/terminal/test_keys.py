@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.view.terminal.keys import StopKey, decode
+from tetractl.view.terminal.keys import StopKey, decode_keys
 
 pytestmark = pytest.mark.slow
 PATIENCE_S = 60
@@ -33,14 +33,14 @@ PATIENCE_S = 60
     ],
 )
 def test_keys_have_names(data, keys):
-    assert decode(data) == (keys, b"")
+    assert decode_keys(data) == (keys, b"")
 
 
 @given(st.binary(max_size=30))
 def test_anything_decodes_and_only_a_beginning_is_kept(data):
-    keys, rest = decode(data)
+    keys, rest = decode_keys(data)
     assert not rest or rest[0] == 0x1B
-    assert decode(data.replace(b"\x1b", b""))[1] == b""
+    assert decode_keys(data.replace(b"\x1b", b""))[1] == b""
     assert all(key.isprintable() for key in keys)
 
 
@@ -51,9 +51,9 @@ KEYS = st.sampled_from([b"\x1b[C", b"\x1bOD", b" ", b".", b"\x1b[5~"])
 def test_a_sequence_torn_between_two_reads_is_put_together(parts, data):
     sequence = b"".join(parts)
     cut = data.draw(st.integers(0, len(sequence)))
-    first, torn = decode(sequence[:cut])
-    second, rest = decode(torn + sequence[cut:])
-    assert (first + second, rest) == decode(sequence)
+    first, torn = decode_keys(sequence[:cut])
+    second, rest = decode_keys(torn + sequence[cut:])
+    assert (first + second, rest) == decode_keys(sequence)
 
 
 @pytest.fixture

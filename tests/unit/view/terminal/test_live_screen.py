@@ -19,8 +19,8 @@ from tetractl.core.trial import Note, PlantInfo
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.keys import STOP_HINT
-from tetractl.view.terminal.live_screen import LabWatch, LiveView
-from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
+from tetractl.view.terminal.live_screen import LabView, LiveView
+from tetractl.view.terminal.progress import BatchProgress, StudyProgress, format_duration
 
 pytestmark = pytest.mark.slow
 
@@ -131,7 +131,7 @@ def test_the_live_view_names_the_emergency_key_where_a_device_is_real(facts, hin
     robots finish the step, as for a lab that is emulated as a whole."""
     console = terminal()
     info = PlantInfo("emulated", False, 100.0, facts)
-    with LabWatch(console, Console(quiet=True), "mm", live=True) as watch:
+    with LabView(console, Console(quiet=True), "mm", live=True) as watch:
         watch.on_start(replace(three_robots().start, plant=info))
     picture = pictures(console)[-1]
     assert hint in picture
@@ -141,7 +141,7 @@ def test_the_live_view_names_the_emergency_key_where_a_device_is_real(facts, hin
 def test_the_lab_prints_messages_but_no_calls_of_an_exception():
     """Regression: with --quiet, too, up to 20 lines of calls stood above the error."""
     always = plain(80)
-    watch = LabWatch(always, Console(quiet=True), "mm", live=False)
+    watch = LabView(always, Console(quiet=True), "mm", live=False)
     watch.on_start(three_robots().start)
     for level, text in (("warning", "low battery"), ("debug", "a.py:7 in plan: 1 / 0")):
         watch.on_note(Note(SECOND, level, text))
@@ -208,21 +208,21 @@ def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
     [(-1, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],
 )
 def test_durations_read_as_people_say_them(seconds, words):
-    assert duration(seconds) == words
+    assert format_duration(seconds) == words
 
 
 def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps():
     console = terminal(100, 40)
     start = three_robots().start
     left, bottom = start.setup.obstacles[0].box[:2]
-    with LiveView(console, plain=True) as view:
+    with LiveView(console, steered_by_hand=True) as view:
         view.on_start(start)
         poses = start.setup.starts.array().copy()
         poses[1, :2] = left + 1, bottom + 1
         poses[2, :2] = start.setup.arena.left - 1, bottom
         observation = Observation(0, 0, 0, Poses.from_array(poses), np.ones(3, dtype=bool))
         view.on_samples([Sample(observation, None)])
-        view.say("words", "Any key ends")
+        view.show_text("words", "Any key ends")
     last = pictures(console)[-1]
     assert "blue entered an obstacle: lost" in last
     assert "red is outside: lost, 1 mm left" in last

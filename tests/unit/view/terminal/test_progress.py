@@ -22,11 +22,11 @@ from tetractl.view.terminal.progress import (
     STUDY_LINES,
     BatchProgress,
     NotebookProgress,
+    ResultTally,
     ScriptProgress,
     StudyProgress,
-    Tally,
-    duration,
-    trial_line,
+    format_duration,
+    format_trial_line,
 )
 
 ENTERED = Verdict(Poses.from_array(np.zeros((2, 3))), (False, True), (9.0, -1.0))
@@ -48,11 +48,11 @@ ENTERED = Verdict(Poses.from_array(np.zeros((2, 3))), (False, True), (9.0, -1.0)
     ],
 )
 def test_a_duration_is_in_its_two_largest_units(seconds, text):
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text
 
 
 def test_a_tally_is_the_mean_and_what_went_wrong():
-    tally = Tally()
+    tally = ResultTally()
     assert tally.summary("mm") == ""
     tally.add(result([1.0, 2.0]))
     assert tally.summary("mm") == "mean total error 3.0 mm"
@@ -63,10 +63,10 @@ def test_a_tally_is_the_mean_and_what_went_wrong():
 
 def test_the_line_of_a_trial_says_how_it_ended_and_only_an_abort_says_why():
     task = Task(2, 9, b"")
-    line = trial_line(task, result([1.0, 2.0]), "mm")
+    line = format_trial_line(task, result([1.0, 2.0]), "mm")
     assert line == "trial 3 of 9: sequence completed, total error 3.0 mm, 31 steps, 6.2 s"
     aborted = result([1.0, 2.0], outcome=Outcome.ABORTED, reason="lost", verdict=ENTERED)
-    assert trial_line(task, aborted, "mm") == (
+    assert format_trial_line(task, aborted, "mm") == (
         "trial 3 of 9: aborted (lost), total error 3.0 mm, 31 steps, 6.2 s, entered an obstacle"
     )
 

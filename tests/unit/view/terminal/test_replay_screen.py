@@ -17,13 +17,13 @@ from tetractl.core.trial import Note
 from tetractl.view.player import Player, Recording
 from tetractl.view.terminal import replay_screen
 from tetractl.view.terminal.replay_screen import (
-    KEYS,
-    Help,
-    dashboard,
+    KEY_HELP,
+    KeyHelp,
+    create_dashboard,
+    format_result,
+    format_step,
     play_trials,
     print_lines,
-    result_line,
-    step_line,
 )
 
 
@@ -65,7 +65,7 @@ def test_every_step_has_a_line_and_the_result_comes_last(recording, capsys):
     lines, waits = printed(recording, capsys)
     steps = [int(found[1]) for line in lines if (found := re.search(r"  k (\d+) ", line))]
     assert steps == list(range(6))
-    assert lines[-1] == result_line(recording)
+    assert lines[-1] == format_result(recording)
     assert len(lines) == 7
     assert waits == []  # all at once
 
@@ -130,9 +130,9 @@ def test_a_log_without_a_result_has_no_line_of_one(recording, capsys):
 
 def test_the_result_has_the_true_or_the_measured_error(recording):
     error = recording.log.result.total_error
-    assert result_line(recording).endswith(f"final total error {error:.1f} mm true")
+    assert format_result(recording).endswith(f"final total error {error:.1f} mm true")
     measured = Recording(in_lab(recording.log))
-    assert result_line(measured).endswith("mm measured")
+    assert format_result(measured).endswith("mm measured")
 
 
 def with_step(recording, direction, **fields):
@@ -146,13 +146,13 @@ def with_step(recording, direction, **fields):
     ("direction", "text"), [(0.5, "+28.6"), (-0.5, "-28.6"), (6.0, "-16.2"), (-3.5, "+159.5")]
 )
 def test_a_direction_is_in_degrees_of_at_most_half_a_turn(recording, direction, text):
-    line = step_line(with_step(recording, direction), 1)
+    line = format_step(with_step(recording, direction), 1)
     assert f"direction {text} deg".replace(" ", "") in line.replace(" ", "")
 
 
 def test_only_a_state_other_than_driving_is_named(recording):
-    assert State.DRIVING not in step_line(with_step(recording, 0.5), 1)
-    assert step_line(with_step(recording, 0.5, state=State.PASSING), 1).endswith("  passing")
+    assert State.DRIVING not in format_step(with_step(recording, 0.5), 1)
+    assert format_step(with_step(recording, 0.5, state=State.PASSING), 1).endswith("  passing")
 
 
 # ---- The lowest line and the keys ----
@@ -162,15 +162,15 @@ def footer(log, at_s=0.0, index=0, count=1):
     recording = Recording(log)
     since_ns = log.began_ns + round(at_s * SECOND)
     player = Player(recording, HandClock(), (since_ns, recording.end_ns), paused=True)
-    return dashboard(player, index, count)._footer
+    return create_dashboard(player, index, count)._footer
 
 
 def test_the_lowest_line_has_the_time_as_a_fraction_of_the_trial(log):
     end_s = log.elapsed_s(Recording(log).end_ns)
     half = footer(log, end_s / 2)
     assert half.fraction == pytest.approx(0.5)
-    assert half.after == f"{end_s / 2:3.1f} / {end_s:.1f} s"
-    assert half.before == "‖ 1×"
+    assert half.right_text == f"{end_s / 2:3.1f} / {end_s:.1f} s"
+    assert half.left_text == "‖ 1×"
 
 
 @pytest.mark.parametrize(
@@ -234,14 +234,14 @@ def played(monkeypatch, log, keys, count=1, turns=True):
     def player():
         return Player(recording, wall, (0, recording.end_ns), paused=True)
 
-    def turn_to(index, before):
+    def select_trial(index, before):
         turned.append(index)
         return player()
 
     screen = Screen()
     monkeypatch.setattr(replay_screen, "Keyboard", Keys([*keys, "q"]))
     monkeypatch.setattr(replay_screen, "Screen", screen)
-    ended = play_trials(Console(), player(), count, turn_to if turns else None)
+    ended = play_trials(Console(), player(), count, select_trial if turns else None)
     assert ended is False
     return turned, screen.shown
 
@@ -260,15 +260,15 @@ def test_nothing_is_drawn_again_while_nothing_changes(monkeypatch, log):
 
 def test_a_question_mark_shows_the_keys_until_the_next_key(monkeypatch, log):
     shown = played(monkeypatch, log, ["?", "?", "?", "x"])[1]
-    assert [isinstance(what, Help) for what in shown] == [False, True, False, True, False]
+    assert [isinstance(what, KeyHelp) for what in shown] == [False, True, False, True, False]
 
 
-@pytest.mark.parametrize("height", [4, len(KEYS), len(KEYS) + 2, len(KEYS) + 3, 30])
+@pytest.mark.parametrize("height", [4, len(KEY_HELP), len(KEY_HELP) + 2, len(KEY_HELP) + 3, 30])
 def test_the_list_of_keys_fills_its_space_and_leaves_out_its_title_first(height):
     out = io.StringIO()
     console = Console(file=out, width=90, height=height, force_terminal=False)
-    console.print(Help(), height=height)
+    console.print(KeyHelp(), height=height)
     lines = out.getvalue().splitlines()[:height]
-    named = [key for key in KEYS if any(line.strip().startswith(key) for line in lines)]
-    assert len(named) == min(height, len(KEYS))
-    assert any("Keys of the player" in line for line in lines) == (height > len(KEYS) + 2)
+    named = [key for key in KEY_HELP if any(line.strip().startswith(key) for line in lines)]
+    assert len(named) == min(height, len(KEY_HELP))
+    assert any("Keys of the player" in line for line in lines) == (height > len(KEY_HELP) + 2)

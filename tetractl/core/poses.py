@@ -282,7 +282,7 @@ class FrameAddition:
     Attributes:
         sampled_ns: When the frame was exposed [ns].
         messages: Messages for the log, each a topic and protobuf bytes. They are logged unchanged.
-            The topics of images are PICTURE and BACKGROUND.
+            The topics of images are PICTURE_TOPIC and BACKGROUND_TOPIC.
     """
 
     sampled_ns: int

@@ -114,7 +114,7 @@ class Shape:
         return self.corners[furthest] + self.radius * directions
 
     def _edges(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
-        """Yield the edges of the polygon in groups of up to EDGES_AT_A_TIME.
+        """Yield the edges of the polygon in groups of up to EDGES_PER_GROUP.
 
         Each group contains x and y of the starts and x and y of the ends, shape (edges, 1) each.
         """

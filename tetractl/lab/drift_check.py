@@ -10,9 +10,9 @@ distance r that is commanded a speed v and a turning rate w moves by
 
 Here, s is the mean error of its wheels, d half the difference between their errors, k the error of
 1 / r, b the error of its heading, and (f, l) the point at which its pose is measured. Each of these
-is unknown but constant, and has a normal prior. A command acts after a delay between the TAPS, so
-weights of the earlier and later commands are fitted too. The check then looks for a motion that no
-command explains, beginning at some moment of the trial:
+is unknown but constant, and has a normal prior. A command acts after a delay between those in
+TAPS_NS, so weights of the earlier and later commands are fitted too. The check then looks for a
+motion that no command explains, beginning at some moment of the trial:
 
     one robot:   a constant velocity along, across and around its heading,
     the camera:  one shift, turn and growth of the whole image, for all robots.

@@ -254,7 +254,7 @@ class UdpPort(SerialPort):
             return self._clock.now()
 
     def _send(self, udp_socket: socket.socket, data: bytes) -> None:
-        """Send a datagram, and try again up to REFUSALS_MAX times.
+        """Send a datagram, and try again up to ATTEMPTS_MAX times.
 
         The system may report a refusal that belongs to an earlier datagram, for example while a
         robot starts up.

@@ -33,7 +33,7 @@ class Interrupt:
 
     Request number `breaks_at`, or a later one, breaks off code once:
 
-        not breakable  `let_break` makes the code breakable
+        not breakable  `make_breakable` makes the code breakable
         breakable      such a request raises KeyboardInterrupt: the code is not breakable any more,
                        unless a finaliser discards the error
     """

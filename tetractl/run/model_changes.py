@@ -126,7 +126,7 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
     """Describe by how much the estimated dead time contradicts the spec.
 
     Returns:
-        The description, or "" if the two agree within DEAD_TIME_ERROR_S and the estimate's
+        The description, or "" if the two agree within DEAD_TIME_ERROR_MIN_S and the estimate's
         uncertainty, or if the dead time is not estimated.
     """
     estimated_s = estimate.dead_time
@@ -218,7 +218,7 @@ def describe_unexplained(estimate: Estimate, setup: Setup, parts: Sequence[str])
     Args:
         estimate: The estimate.
         setup: The robots.
-        parts: The parts to consider: OF_TURNING or OF_PLACES.
+        parts: The parts to consider: TURNING_INNOVATIONS or POSITION_INNOVATIONS.
 
     Returns:
         A description of the deviation in brackets for each part, such as "heading of red". It is
@@ -376,7 +376,7 @@ class ModelMonitor:
                 yield name
 
     def _late_robots(self, estimate: Estimate, setup: Setup, now_ns: int) -> list[tuple[str, str]]:
-        """List the robots that have been later than the quickest one for LATE_ROBOT_FOR_S.
+        """List the robots that have been later than the quickest one for LATE_ROBOT_DURATION_S.
 
         Returns:
             The name of each such robot, and a description.

@@ -71,7 +71,7 @@ def check_plan(plan: Plan, robots: int) -> None:
                 "signals"
             )
         if search.history.ndim != 1 or not search.history.size:
-            raise ValueError("a search has no history")
+            raise ValueError("the history of a search must be a list of one or more numbers")
         if not isinstance(search.stopped, str):
             type_name = type(search.stopped).__name__
             raise ValueError(

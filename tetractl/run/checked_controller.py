@@ -164,7 +164,8 @@ def _check_outcome(value: Any) -> Outcome:
 
 def _to_action(value: Any) -> Turn | Stop | FieldOff | None:
     if not isinstance(value, Turn | Stop | FieldOff | None):
-        raise TypeError(f"it is a {type(value).__name__}")
+        type_name = type(value).__name__
+        raise TypeError(f"an action must be Turn, Stop, FieldOff or None, not {type_name}")
     if value is not None:
         check_actions([value])
     return value

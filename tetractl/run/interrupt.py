@@ -214,7 +214,7 @@ class _SignalListener:
     def _listen(self, signals: socket.socket) -> None:
         while True:
             select.select([signals], [], [])
-            with self._lock, suppress(BlockingIOError):  # it was forgotten
+            with self._lock, suppress(BlockingIOError):  # `changing` has discarded it
                 (number,) = signals.recv(1)
                 handler = signal.getsignal(number)
                 if isinstance(handler, _ExitHandler):

@@ -27,11 +27,11 @@ obstacle.
 
 HEIGHT_IN = 3.1
 """Height of the figure [in]."""
-SHOWN = (0.0, 0.25, 1.0)
+SHOWN_FRACTIONS = (0.0, 0.25, 1.0)
 """The iterations shown, as fractions of all: each has a panel."""
-MANY = 200
+SMALL_DOTS_ABOVE_PARTICLES = 200
 """Number of particles beyond which they are drawn smaller."""
-LIMIT = 1.04 * np.pi
+AXIS_LIMIT_RAD = 1.04 * np.pi
 """Limit of the axes [rad], slightly beyond the signals so that dots are drawn whole."""
 
 
@@ -48,38 +48,38 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     log = one_trial(logs)
     require_steps(log)
-    history = first_swarm(log, SHOWN)
+    history = first_swarm(log, SHOWN_FRACTIONS)
     unit = format_unit(log.start.setup.unit)
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)
     (panels,) = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)
-    shades = [_shades(axes, history) for axes in panels]
+    shades = [_draw_cost_shades(axes, history) for axes in panels]
     for axes, letter, frame in zip(panels, "abc", history.frames, strict=False):
-        size = 4 if len(frame.particles) <= MANY else 2
-        _dots(axes, frame.particles, style.SLATES[1], size, mew=0.3, zorder=2, gid="swarm")
-        _dots(axes, frame.best, style.INK, 8, mew=0.8, marker="*", zorder=5, gid="best")
+        size = 4 if len(frame.particles) <= SMALL_DOTS_ABOVE_PARTICLES else 2
+        _draw_dots(axes, frame.particles, style.SLATES[1], size, mew=0.3, zorder=2, gid="swarm")
+        _draw_dots(axes, frame.best, style.INK, 8, mew=0.8, marker="*", zorder=5, gid="best")
         title = f"iteration {frame.z}, J {frame.cost:.3g} {unit}"
         style.panel(axes, letter, title, "signal $u_1$ [rad]")
     panels[0].set_ylabel("signal $u_2$ [rad]")
-    _course(panels[-1], history)
+    _draw_particle_path(panels[-1], history)
     bar = figure.colorbar(
         shades[0], ax=panels.tolist(), pad=0.01, aspect=30,
         format=lambda cost, _: f"{float(f'{cost:.3g}'):g}",
     )  # fmt: skip
     bar.set_label(f"$J$ over $u_1$ and $u_2$ [{unit}]")
     bar.ax.spines["outline"].set_visible(False)
-    _legend(figure, history, log.steps[0].plan.search.length)
+    _draw_legend(figure, history, log.steps[0].plan.search.length)
     return figure
 
 
-def _course(axes: Axes, history: SwarmHistory) -> None:
+def _draw_particle_path(axes: Axes, history: SwarmHistory) -> None:
     """Draw the path of one particle, and the best point that it found."""
     u_1, u_2 = history.path.T
     axes.plot(u_1, u_2, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(u_1, u_2, "o", color=style.INK, ms=1.8, zorder=3, gid="course")
-    _dots(axes, history.path_best, style.INK, 6, mew=0.6, marker="D", zorder=4)
+    _draw_dots(axes, history.path_best, style.INK, 6, mew=0.6, marker="D", zorder=4)
 
 
-def _legend(figure: Figure, history: SwarmHistory, signals: int) -> None:
+def _draw_legend(figure: Figure, history: SwarmHistory, signals: int) -> None:
     """Draw the legend, which also reports whether the computed J equals the logged J."""
     count = len(history.frames[0].particles)
     rounding = "as logged" if history.repeated else "differs from the log by rounding"
@@ -94,13 +94,13 @@ def _legend(figure: Figure, history: SwarmHistory, signals: int) -> None:
     style.legend(figure, signs)
 
 
-def _dots(axes: Axes, points: Floats, color: str, size: float, **look: Any) -> None:
+def _draw_dots(axes: Axes, points: Floats, color: str, size: float, **look: Any) -> None:
     """Draw dots at points (n, 2), or at one point (2,)."""
     whole_look = {"ls": "none", "marker": "o", **look}
     axes.plot(*points.T, ms=size, color=color, mec="white", **whole_look)
 
 
-def _shades(axes: Axes, history: SwarmHistory) -> AxesImage:
+def _draw_cost_shades(axes: Axes, history: SwarmHistory) -> AxesImage:
     """Draw J over the two signals as an image, with lower J in lighter grey.
 
     Each of SHADES shades covers the same number of grid points.
@@ -119,7 +119,7 @@ def _shades(axes: Axes, history: SwarmHistory) -> AxesImage:
         interpolation="nearest",
         zorder=0,
     )
-    axes.set(xlim=(-LIMIT, LIMIT), ylim=(-LIMIT, LIMIT))
+    axes.set(xlim=(-AXIS_LIMIT_RAD, AXIS_LIMIT_RAD), ylim=(-AXIS_LIMIT_RAD, AXIS_LIMIT_RAD))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_ticks([-np.pi, 0, np.pi], ["−π", "0", "π"])
     return image

@@ -47,7 +47,7 @@ def read_sightings(kind: str, message: Any) -> list[BodySighting]:
         case "TFMessage":
             return [_read_transform(stamped) for stamped in message.transforms]
         case _:
-            raise TypeError(f"a {kind} holds no poses")
+            raise TypeError(f"messages of type {kind} contain no poses")
 
 
 def stamp_ns(header: Any) -> int:

@@ -83,8 +83,14 @@ REFUSED = {
     "a search of another length": (with_search(length=3), "a search of length 3 has a different"),
     "a search of no length": (with_search(length=0, signals=np.zeros(0)), "a search of length 0"),
     "a search of a huge length": (with_search(length=10**30), "more than 20 digits"),
-    "no history": (with_search(history=np.zeros(0)), "a search has no history"),
-    "history in rows": (with_search(history=np.zeros((2, 2))), "a search has no history"),
+    "no history": (
+        with_search(history=np.zeros(0)),
+        "the history of a search must be a list of one or more numbers",
+    ),
+    "history in rows": (
+        with_search(history=np.zeros((2, 2))),
+        "the history of a search must be a list of one or more numbers",
+    ),
     "a reason that is no text": (with_search(stopped=5), "must be a string, but it is of type int"),
     "too many numbers": (
         replace(PLAN, numbers={f"n{i}": 1.0 for i in range(NUMBERS_MAX + 1)}),

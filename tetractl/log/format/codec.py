@@ -79,7 +79,8 @@ def decode_frames(message: pb.CameraFrames, n_robots: int) -> Frames:
     has_optional_arrays = len(truth) in (0, frame_count) and len(late_ns) in (0, frame_count)
     if not has_required_arrays or not has_optional_arrays:
         raise ValueError(
-            f"arrays of camera frames do not have {frame_count} times {n_robots} entries"
+            f"the arrays of camera frames must have an entry for each of {frame_count} frames "
+            f"and {n_robots} robots"
         )
     sampled_ns = times[:, 1]
     exposed_ns = np.repeat(sampled_ns[:, None], n_robots, axis=1)

@@ -418,7 +418,9 @@ def unpack(chunk: Chunk, may_lack_checksum: bool = False) -> bytes:
     if chunk.compression == "zstd":  # zstd ignores a limit if the frame states its size
         size = max(size, zstandard.frame_content_size(data))
     if size > CHUNK_MAX:
-        raise ValueError(f"the chunk claims to unpack to {size} bytes, more than {CHUNK_MAX}")
+        raise ValueError(
+            f"the chunk states an unpacked size of {size} bytes, but the limit is {CHUNK_MAX} bytes"
+        )
     if chunk.compression == "zstd":
         data = zstandard.decompress(data, max_output_size=max(size, 1))
     elif chunk.compression == "lz4":  # by other writers

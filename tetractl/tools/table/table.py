@@ -116,7 +116,9 @@ class Column:
     @property
     def listed(self) -> Sequence[Any]:
         """The values of the column as Python objects."""
-        values = self.values  # `isinstance(given, Array)` takes as long as a hundred values
+        values = (
+            self.values
+        )  # a check with `isinstance(values, Array)` would take as long as 100 values
         return values if isinstance(values, list | tuple) else values.tolist()
 
 

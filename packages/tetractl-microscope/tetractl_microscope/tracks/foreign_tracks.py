@@ -495,7 +495,7 @@ def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
             has_types = "no two axes have the type space"
         elif space_axes:
             has_types = "no axis has the type time"
-        raise ValueError(f"{has_types}, and their names are {listed_names}")
+        raise ValueError(f"{has_types}; the names of the axes are {listed_names}")
     return found_axes
 
 

@@ -53,5 +53,5 @@ def test_bodies_come_in_the_order_of_the_message():
 
 
 def test_a_message_without_poses_is_refused():
-    with pytest.raises(TypeError, match="a Twist holds no poses"):
+    with pytest.raises(TypeError, match="messages of type Twist contain no poses"):
         read_sightings("Twist", Record())

@@ -73,7 +73,9 @@ def test_a_bomb_is_not_unpacked(log, tmp_path, said):
     bomb = chunk(b"\0" * (limits.CHUNK_MAX + 1), said)
     assert len(bomb) < 10_000
     contents = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
-    assert any("claims to unpack to 16777217 bytes" in problem for problem in contents.problems)
+    assert any(
+        "states an unpacked size of 16777217 bytes" in problem for problem in contents.problems
+    )
     assert contents.entries == scan(log).entries
 
 

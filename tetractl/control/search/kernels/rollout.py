@@ -1,4 +1,4 @@
-"""The cost J of (7) for many sequences of signals at once, compiled for speed.
+"""The cost J of many sequences of signals at once, the paper's (7), compiled for speed.
 
 It gives the same numbers as `tetractl.control.search.cost.evaluate`. Each of P sequences, called a
 particle, moves N simulated robots of its own. All particles are simulated together, signal by

@@ -408,7 +408,9 @@ class NatNetStream:
         self._implausible_times += 1
         age_text = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
         if self._implausible_times < 5:  # a damaged frame, not yet a wrong clock
-            raise WireError(f"the exposure time of a frame is not plausible: {age_text}")
+            raise WireError(
+                f"the time stamp of a frame is not plausible: it was exposed {age_text}"
+            )
         self._fault = self._fault or (
             f"according to the camera server's clock, frames were exposed {age_text}: the clock "
             "was set, or runs at a wrong rate"

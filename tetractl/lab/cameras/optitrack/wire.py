@@ -138,7 +138,7 @@ def unpack_fields(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
         WireError: If the payload's size differs from the size of the layout.
     """
     if len(payload) != layout.size:
-        raise WireError(f"a payload of {layout.size} bytes expected, not of {len(payload)}")
+        raise WireError(f"a payload has {len(payload)} bytes, but {layout.size} are expected")
     return layout.unpack(payload)
 
 

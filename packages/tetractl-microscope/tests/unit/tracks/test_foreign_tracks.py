@@ -182,7 +182,7 @@ def test_a_graph_without_axes_is_read_by_the_names_of_its_properties():
 @pytest.mark.parametrize(
     ("axes", "says"),
     [
-        ([("a", None), ("b", None)], "no axis has a type, and their names are a, b"),
+        ([("a", None), ("b", None)], "no axis has a type; the names of the axes are a, b"),
         ([("t", "time"), ("a", "space")], "no two axes have the type space"),
         ([("a", "space"), ("b", "space")], "no axis has the type time"),
     ],

@@ -83,8 +83,8 @@ def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
 @pytest.mark.parametrize(
     ("axes", "says"),
     [
-        ({"a": {}, "b": {}, "c": {}}, "no axis has a type, and their names are a, b, c"),
-        ({"y": SPACE, "x": SPACE}, "no axis has the type time, and their names are y, x"),
+        ({"a": {}, "b": {}, "c": {}}, "no axis has a type; the names of the axes are a, b, c"),
+        ({"y": SPACE, "x": SPACE}, "no axis has the type time; the names of the axes are y, x"),
     ],
 )
 def test_a_graph_that_lacks_an_axis_is_told_which_it_has(axes, says, tmp_path):

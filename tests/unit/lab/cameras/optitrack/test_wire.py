@@ -109,7 +109,7 @@ def test_fields_have_exactly_their_size():
     layout = struct.Struct("<HI")
     assert wire.unpack_fields(layout, struct.pack("<HI", 1, 2)) == (1, 2)
     for payload in (bytes(5), bytes(7)):
-        with pytest.raises(WireError, match="a payload of 6 bytes expected"):
+        with pytest.raises(WireError, match="but 6 are expected"):
             wire.unpack_fields(layout, payload)
     with pytest.raises(WireError, match="cannot pack"):
         wire.pack_fields("H", 70_000)

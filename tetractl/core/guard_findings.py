@@ -35,7 +35,7 @@ class Refuse:
     Attributes:
         robot: Index of the robot.
         text: The reason.
-        excess: The measured value with its limit. None if there is none.
+        excess: The measured value with its limit. None if the reason is not a limit.
     """
 
     robot: int
@@ -65,7 +65,7 @@ class Lose:
     Attributes:
         robot: Index of the robot.
         text: The reason.
-        excess: The measured value with its limit. None if there is none.
+        excess: The measured value with its limit. None if the reason is not a limit.
     """
 
     robot: int
@@ -89,7 +89,7 @@ class Abort:
         false: Indices of the robots whose poses can no longer be trusted.
         suspect: Index of the robot that seems to have failed. None if it is not a single robot. The
             guard then checks whether the camera, the radio or another robot was the cause.
-        excess: The measured value with its limit. None if there is none.
+        excess: The measured value with its limit. None if the reason is not a limit.
     """
 
     text: str

@@ -149,7 +149,8 @@ def check_tracking(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
 def may_move(rules: GuardRules, pace: ControlPace, frame_ns: int, now_ns: int) -> bool:
     """Check whether frames and directions are recent enough for any robot to move in a run.
 
-    A plan for robots that turn on the spot may take long. They wait for it, as in a pause.
+    If robots turn on the spot, planning may take long. Their last direction is therefore recent
+    enough for `PAUSE_S` and the time without directions that the guard allows.
 
     Args:
         rules: The limits.

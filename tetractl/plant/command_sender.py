@@ -25,7 +25,9 @@ STOPS_MAX = 3000
 
 
 class CommandSender:
-    """Sends commands to N robots, and returns them as the host logs them.
+    """Sends commands to N simulated robots, and returns them as the host logs them.
+
+    A logged command also says which robots receive it (`delivered`).
 
     Args:
         settings: The fields of the simulation in the spec.

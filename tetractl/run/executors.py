@@ -170,7 +170,11 @@ class ProcessExecutor:
         """Earliest time of the next SIGTERM to the workers, on the monotonic clock [s]."""
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
-        """Run the tasks in worker processes. Yield each with its result or error as it ends."""
+        """Run the tasks in worker processes. Yield each with its result or error as it ends.
+
+        This process calls `start_task` before a worker starts a task. If a worker was killed, its
+        task runs once more, without others at the same time.
+        """
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
             suspects = list[Task]()

@@ -77,9 +77,9 @@ class UdpPlug(PseudoPort):
         return b""
 
     def write(self, data: bytes) -> None:
-        """Send a datagram to the program that sent the last one.
+        """Send a datagram to the program from which the last datagram came.
 
-        It is lost if there is no such program, or if it cannot be sent.
+        The new datagram is lost if there is no such program, or if it cannot be sent.
         """
         if self._socket is not None and self._sender is not None:
             with suppress(OSError):

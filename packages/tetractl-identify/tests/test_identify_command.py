@@ -68,7 +68,9 @@ def command(monkeypatch):
     monkeypatch.setattr(f"{place}.response.fit_responses", fit_responses)
     monkeypatch.setattr(f"{place}.robot_response.create_response_table", lambda *args: args[1])
     monkeypatch.setattr(
-        module.ui, "show", lambda as_json, items, tables: print("json" if as_json else tables)
+        module.ui,
+        "print_results",
+        lambda as_json, items, tables: print("json" if as_json else tables),
     )
     return asked
 

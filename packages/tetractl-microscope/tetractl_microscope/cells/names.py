@@ -271,10 +271,13 @@ class CellIdentities:
         return [probability_by_track.get(track.number, track.certainty) for track in tracks]
 
     def _ask_question(self, meeting: Meeting, places: Floats, seconds: float) -> None:
-        """End a meeting, and open the question of which cell is on which track.
+        """End a meeting of cells, and store the question of which cell is on which track.
+
+        Cells that meet look like a single blob. When they part, it is unknown at first which
+        track belongs to which of them.
 
         Args:
-            meeting: The meeting.
+            meeting: The meeting. It is removed from the open meetings.
             places: x, y [um] and axis [rad] of each track's blob, shape (K, 3).
             seconds: Time of the image [s].
         """

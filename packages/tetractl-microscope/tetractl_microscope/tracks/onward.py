@@ -84,9 +84,11 @@ def measure_persistence(places: Floats, n_steps: int) -> Persistence:
 
 
 def hardly_any_keeps_direction(keeps_direction: Sequence[bool]) -> bool:
-    """Check whether so few objects keep their direction that this may be chance.
+    """Check whether fewer than KEEPING_FRACTION_MIN of some objects keep their direction.
 
-    It is False without any object.
+    Args:
+        keeps_direction: For each object, whether it keeps its direction. If there is no object,
+            the result is False.
     """
     return sum(keeps_direction) < KEEPING_FRACTION_MIN * len(keeps_direction)
 

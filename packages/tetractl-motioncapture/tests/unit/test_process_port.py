@@ -50,8 +50,8 @@ def reading(monkeypatch):
             if not data:
                 ended.set()
 
-        def child(command, alone):
-            made.append((command, alone))
+        def child(command, own_session):
+            made.append((command, own_session))
             return process
 
         monkeypatch.setattr(process_port, "Child", child)

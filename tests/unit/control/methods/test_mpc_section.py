@@ -102,7 +102,7 @@ def test_the_prior_has_the_lengths_of_the_spec_in_its_unit():
 def test_the_precision_of_a_camera_is_in_the_unit_of_the_spec(unit, in_unit):
     experiment = loaded(units={"length": unit})
     sight = Sight(grid_mm=4.0, grid_rad=0.1, noise_mm=2.0, noise_rad=0.05)
-    x, y, heading = experiment.controller.known(replace(experiment.setup, sight=sight)).pose_std
+    x, y, heading = experiment.controller.known(replace(experiment.setup, sight=sight)).spread
     x_mm, y_mm, heading_rad = sight.pose_std
     assert x_mm > 0
     assert (x, y) == pytest.approx((x_mm * in_unit, y_mm * in_unit))

@@ -516,7 +516,7 @@ def _probability_of_stuck(ln_weight, slot):
 
 @compiled(**INLINE_FAST)
 def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
-    """Predict a robot's state z from `begin_s` to `end_s` [s], through all commands between.
+    """Predict a robot's state z from `begin_s` to `end_s` [s], in place, with all commands between.
 
     A stuck robot follows no command. A command that takes effect within 1 ns of the end already
     counts. Commands that took effect before the beginning are contained in the state.

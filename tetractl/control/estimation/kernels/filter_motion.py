@@ -211,9 +211,9 @@ def _unknown_turn(z, rest_heading, cos_u, sin_u, a, host_lag, t):
 
 @compiled(**INLINE_FAST)
 def _remaining_distance(missing, lag, t):
-    """Integrate over t [s] a difference that is `missing` at first and decays with a lag.
+    """Integrate over t [s] a difference that is `missing` at first and decays exponentially.
 
-    Without a lag, the result is 0.
+    Its time constant is `lag` [s]. Without a lag, the result is 0.
     """
     if lag == 0:
         return 0.0

@@ -22,7 +22,7 @@ from pathlib import Path
 from tetractl.core.clock import MonotonicClock
 from tetractl.control.methods.build import warm_up
 from tetractl.run.checked_controller import build_controller
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Start
+from tetractl.core.trial import SIMULATED_START_NS, PlantInfo, Start
 from tetractl.log.write.writer import LogWriter
 from tetractl.core.protocols import LabSupervision
 from tetractl.run.interrupt import Interrupt
@@ -39,7 +39,7 @@ writer = LogWriter(Path(sys.argv[2]), real_time=True)
 with interrupt.watch(), writer:
     clock = MonotonicClock()
     print(time.monotonic_ns(), flush=True)
-    start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
+    start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), SIMULATED_START_NS)
     plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     controller = build_controller(spec.experiment, key)
     result = Trial(start, plant, controller, clock, [writer], interrupt).run()

@@ -236,9 +236,9 @@ def extract_wheel_track(log: TrialLog) -> Track:
     twists[~received] = math.nan
     return replace(
         track,
-        sent=np.array(sent_ns) / SECOND,
-        u=np.full(len(sent_ns), math.nan),
-        received=received,
+        sent_s=np.array(sent_ns) / SECOND,
+        direction_rad=np.full(len(sent_ns), math.nan),
+        is_received=received,
         twists=twists,
     )
 

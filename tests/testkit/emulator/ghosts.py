@@ -114,7 +114,7 @@ class Ghost:
         """Begin at once, or so long after the first command."""
         if self._began is not None:
             return
-        last = self.lab.plant.rig.loop.last
+        last = self.lab.plant.rig.loop.last_transmission
         if self.at_s == -math.inf:
             self._began = now
         elif last is not None and last.direction is not None:
@@ -172,7 +172,7 @@ class Ghost:
             self._from = [(robot.x, robot.y) for robot in self.lab.robots]
             return
         guard = self.lab.plant.rig.loop.guard
-        last = self.lab.plant.rig.loop.last
+        last = self.lab.plant.rig.loop.last_transmission
         if self._since_s > self.limit_s and guard.state is not GuardState.ABORT:
             guard.abort("not noticed")
         driven = last and not last.stops and any(last.delivered[i] for i in self.who)

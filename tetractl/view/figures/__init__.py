@@ -8,7 +8,7 @@ The tests draw every figure and find texts that hide one another. This is a whol
 
     import numpy as np
 
-    from tetractl.core.errors import unit_of
+    from tetractl.core.errors import format_unit
     from tetractl.view import style
     from tetractl.view.figures.curves import TIME_LABEL, Curve, draw_curves, name_curves
     from tetractl.view.figures.trials import require_frames, one_trial
@@ -28,8 +28,9 @@ The tests draw every figure and find texts that hide one another. This is a whol
             curves.append(Curve(gaps, look["color"], setup.names[robot], f"robot-{robot}"))
         draw_curves(axes, log.frames_s, curves)
         name_curves(axes, curves)
-        axes.set(xlabel=TIME_LABEL, ylabel=f"distance from {setup.names[0]}
-        [{unit_of(setup.unit)}]") return figure
+        label = f"distance from {setup.names[0]} [{format_unit(setup.unit)}]"
+        axes.set(xlabel=TIME_LABEL, ylabel=label)
+        return figure
 
 `TrialLog` has the positions and times; `curves` draws and names one curve of each robot, `trials`
 refuses what a figure cannot show, `axes` has logarithmic axes and `style` what all figures share.

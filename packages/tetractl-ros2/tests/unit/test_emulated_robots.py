@@ -98,10 +98,10 @@ def test_an_emergency_stop_reaches_all_robots_that_are_on_and_false_reaches_none
         stop = side.radios[-1]
         side.robots[2].switch(False)
         for data in (Bool(data=False).serialize(), b"\xff"):
-            stop.hear(data)
+            stop.receive(data)
             assert not any(robot.core.is_emergency_stopped for robot in side.robots)
-        stop.hear(Bool(data=True).serialize())
-        stop.hear(Bool(data=False).serialize())
+        stop.receive(Bool(data=True).serialize())
+        stop.receive(Bool(data=False).serialize())
         stopped = [robot.core.is_emergency_stopped for robot in side.robots]
         assert stopped == [True, True, False]
 

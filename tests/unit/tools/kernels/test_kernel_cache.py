@@ -150,13 +150,13 @@ def test_compile_times_count_each_function_and_its_signatures(tmp_path):
 
 SMALL = """
 import sys
-from tetractl.tools.kernels.kernel_cache import compiled, folder
+from tetractl.tools.kernels.kernel_cache import compiled, find_kernel_folder
 
 @compiled(nogil=True)
 def double(x):
     return 2 * x
 
-print(double(21), sum(double.stats.cache_hits.values()), folder())
+print(double(21), sum(double.stats.cache_hits.values()), find_kernel_folder())
 """
 
 

@@ -63,7 +63,7 @@ class ClientPort(SerialPort, ABC):
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Send nothing, because messages arrive without a request. Return the present time [ns].
+        """Ignore the data, because this port only receives, and return the present time [ns].
 
         Raises:
             AbortError: If the port has failed.

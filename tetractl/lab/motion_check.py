@@ -315,10 +315,10 @@ class MotionCheck(GuardCheck):
         self._driven_s[robots] += self._compute_driven_s(since_ns, until_ns)[robots]
 
     def _compute_bounds(self, since_ns: int, until_ns: int) -> Floats:
-        """Compute the bounds between two times [ns], from all commands that robots may obey.
+        """Compute between which rates each robot may move in a time span, given what was sent.
 
-        Only gaps between transmissions count, because nobody knows which transmissions a robot has
-        received.
+        A robot may obey any command that was sent recently, because it is unknown which
+        transmissions it has received. The watchdog stops it only after a gap between transmissions.
 
         Returns:
             The minimum and maximum rates, shape (2, N, 3).

@@ -88,12 +88,12 @@ def resolved_yaml(experiment: Experiment) -> str:
 def spec_hash(experiment: Experiment, logged: Any = None) -> str:
     """Compute the SHA-256 of an experiment, as 64 hex digits.
 
-    Comments and the order of keys have no influence.
+    Comments and the order of keys do not change it.
 
     Args:
         experiment: The experiment.
-        logged: Data of the spec in an earlier log. Then only the keys of this data are hashed. None
-            for other specs.
+        logged: Data of the spec in an earlier log. If it is given, only the keys that it contains
+            are hashed, because later versions may have more keys. None to hash all keys.
     """
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)

@@ -1,10 +1,10 @@
-"""Variants of faults in randomised test runs: how strong they are, and which reasons name them.
+"""Variants of faults in randomised test runs: their strength, and the abort reasons that name them.
 
 A randomised test run (a *day* of `tetractl lab rehearse`) samples faults. Each emulated device
-lists the kinds of faults that it can have. A kind has `rows`, its variants: a `FaultRow` contains a
-weight, a sampling function for each field of the fault, and a pattern. If the guard ends a run with
-a reason that matches the pattern, the guard has named the fault correctly. A device of another
-package takes part in these runs with its own kinds.
+lists the kinds of faults that it can have. The variants of a kind are its `rows`. A `FaultRow`
+contains a weight, a sampling function for each field of the fault, and a pattern. If the guard ends
+a run with a reason that matches the pattern, the guard has named the fault correctly. A device of
+another package takes part in these runs with its own kinds.
 """
 
 import math

@@ -483,7 +483,7 @@ def _join_track(
     Args:
         numbers: The numbers of the trial. In the track, times count from the first pose.
         unit: The unit of lengths.
-        name: The log and the trial that the rows name.
+        name: The log and the trial, as the rows of the tables name them.
         idle: Robots to leave out because they receive no command.
         unseen: Robots to leave out because they have no pose.
 

@@ -1,10 +1,10 @@
 """Chooses the steps of a robot that are used to fit its response to commands.
 
 A step is the motion from one pose to a later one, and lasts at least STEP_S. Two kinds of steps are
-left out. In steps without an acting command, the robot stands still. Steps that are OUTLIER_FACTOR
-times further off than usual occur, for example, if a tracker confuses two bodies. The clocks of
-poses and commands may differ. `_find_delay` therefore finds the delay after which the commands
-explain most of the motion.
+left out: steps during which no command acts, because the robot then stands still, and steps whose
+residual is more than OUTLIER_FACTOR times the usual one. Such outliers occur, for example, if a
+tracker confuses two bodies. The clocks of poses and commands may differ. `_find_delay` therefore
+finds the delay after which the commands explain most of the motion.
 
 Shapes: a robot has S steps in all its tracks, of which the fit uses M. One track has C commands.
 Pairs of integrals of a motion stand in columns: first of the speed, then of the turning rate.

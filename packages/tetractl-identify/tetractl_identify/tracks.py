@@ -112,7 +112,10 @@ class Track:
 
     @property
     def follows_commands(self) -> Bools:
-        """Whether a pose is valid and its robot follows the commands, as far as known (M, N)."""
+        """Whether each pose is valid while its robot follows the commands, shape (M, N).
+
+        If it is unknown when robots follow, only the validity counts.
+        """
         return self.valid & ~self.is_silent if self.is_silent.size else self.valid
 
     def received_by(self, robot: int) -> Bools:

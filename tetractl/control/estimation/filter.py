@@ -357,7 +357,7 @@ class FilterBank:
         place(self.bank, self.model, self.commands, frame.seconds, poses, is_set)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
-        """Follow the robots from the first to the last of some frames, in all their filters."""
+        """Advance all filters of all robots from the first of the given frames to the last."""
         from tetractl.control.estimation.kernels.filter import follow
 
         measured = PoseFrames(

@@ -70,7 +70,7 @@ class MemoryCamera:
         return self._parts.damaged
 
     def join(self, take: Callable[[bytes], None]) -> Self:
-        """Start to pass each image to a function, instead of an earlier function.
+        """Pass each image to a function, starting with the next image. It replaces an earlier one.
 
         Args:
             take: Called with each image as a JPEG file.

@@ -182,9 +182,9 @@ def mean_tables(cells: list[Record]) -> list[Table]:
 
 
 def cell_data(record: Record) -> Table:
-    """Create the data table: one row for each cell, with intervals as columns of their ends.
+    """Create the data table: one row per swimming cell, with two columns for each interval.
 
-    A value or an end that is unknown is None.
+    The two columns are the lower and the upper end. Unknown values and ends are None.
     """
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]

@@ -29,7 +29,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.control_loop import Trial
 from tetractl.spec.load import parse_spec
-from tetractl.spec.loaded_spec import start_of
+from tetractl.spec.loaded_spec import create_start
 
 spec = parse_spec(sys.argv[1], "spec.yaml")
 warm_up(spec.experiment, print)
@@ -39,7 +39,7 @@ writer = LogWriter(Path(sys.argv[2]), real_time=True)
 with interrupt.watch(), writer:
     clock = MonotonicClock()
     print(time.monotonic_ns(), flush=True)
-    start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), SIMULATED_START_NS)
+    start = create_start(spec, 0, PlantInfo("", True, 0.0, {}), SIMULATED_START_NS)
     plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     controller = build_controller(spec.experiment, key)
     result = Trial(start, plant, controller, clock, [writer], interrupt).run()

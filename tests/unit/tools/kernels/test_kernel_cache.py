@@ -60,7 +60,8 @@ for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
     frames = [one.observation for one in plant.samples()]
     digest.update(known.add_step(seen, command, frames[:-1]).poses.array().tobytes())
     command = plant.send(Steer(float(u)))
-    digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(known.estimate)))
+    numbers = [value for value in astuple(known.estimate) if value is not None]
+    digest.update(b"".join(np.asarray(value, dtype=float).tobytes() for value in numbers))
 hits = [sum(kernel.stats.cache_hits.values()) for kernel in (_follow, place)]
 print(sum(hits), digest.hexdigest())
 """

@@ -165,9 +165,8 @@ def _find_spec_stop_function(spec: Path, sets: list[str]) -> Callable[..., str]:
     except UsageError as error:
         document_with_settings = with_settings(document, settings)
         actuator_and_setup = load_actuator_alone(document_with_settings)
-        wrong_setting = len(document_with_settings.problems) > len(
-            document.problems
-        )  # it may name the port
+        # it may name the port
+        wrong_setting = len(document_with_settings.problems) > len(document.problems)
         if actuator_and_setup is None or wrong_setting:
             raise
         ui.print_messages(*(f"warning: {line}" for line in error.message.split("\n")))

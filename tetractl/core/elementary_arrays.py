@@ -68,9 +68,8 @@ def _reduce_angles(x: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 def exp(x: Floats) -> Floats:
     """Compute e^x for arrays with x below `elementary.EXPONENT_MAX`."""
-    k, expm1_remainder = _split_powers(
-        np.maximum(x, -elementary.EXPONENT_MAX)
-    )  # from there on, the result is 0
+    # from there on, the result is 0
+    k, expm1_remainder = _split_powers(np.maximum(x, -elementary.EXPONENT_MAX))
     half = k >> 1
     return (1.0 + expm1_remainder) * np.ldexp(1.0, half) * np.ldexp(1.0, k - half)
 

@@ -79,9 +79,8 @@ class RobotStep:
         sine = elementary.sin(halfway_rad)
         along = dx * cosine + dy * sine
         across = dy * cosine - dx * sine
-        half_turn_rad = math.pi * (
-            turned_rad / math.tau
-        )  # in this order, as numpy.sinc did for earlier logs
+        # in this order, as numpy.sinc did for earlier logs
+        half_turn_rad = math.pi * (turned_rad / math.tau)
         chord_ratio = elementary.sin(half_turn_rad) / half_turn_rad if half_turn_rad else 1.0
         motion = np.array([along / chord_ratio, across, turned_rad])
         return cls(motion, ZERO_VARIANCE, dt_ns, until_ns, robot, start_pose)

@@ -509,9 +509,8 @@ class DriftCheck(GuardCheck):
         )
         velocity = solve(own_squares, pulls[..., None])[..., 0]
         gains_of_robots = (pulls * velocity).sum(axis=2)  # (G, N)
-        gains_of_robots /= np.maximum(
-            1.0, (residual_squares - gains_of_robots) / n_residuals
-        )  # noise above that assumed
+        # noise above that assumed
+        gains_of_robots /= np.maximum(1.0, (residual_squares - gains_of_robots) / n_residuals)
         image_motion, gain_of_image = self._fit_image_motion(changes)
         gain_of_one_robot = gains_of_robots.max(axis=1)
         worst_moment = int(np.maximum(gain_of_one_robot, gain_of_image).argmax())

@@ -62,9 +62,8 @@ def newton_step(
 
     slope, curvature = derivatives(score, parameters.shape[1])
     eigenvalues, eigenvectors = np.linalg.eigh(curvature)
-    eigenvalues = np.maximum(
-        np.abs(eigenvalues), prior_std**-2
-    )  # a step uphill where the curve is hollow
+    # a step uphill where the curve is hollow
+    eigenvalues = np.maximum(np.abs(eigenvalues), prior_std**-2)
     step = np.einsum("nij,nj,nkj,nk->ni", eigenvectors, 1 / eigenvalues, eigenvectors, slope)
     step = np.clip(step, -STEP_MAX, STEP_MAX)
     best_index = score(STEP_FRACTIONS[:, None] * step[:, None]).argmax(axis=1)

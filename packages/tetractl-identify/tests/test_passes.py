@@ -79,9 +79,8 @@ def test_the_usual_speed_is_the_median_of_the_used_intervals(speed, factor):
     steady = frames_of(straight(speed, time), time)
     other = frames_of(straight(factor * speed, time[:50]), time[:50])
     assert compute_median_speeds([steady]) == pytest.approx([speed])
-    assert compute_median_speeds([other, steady]) == pytest.approx(
-        [speed]
-    )  # most intervals are of the first
+    # most intervals are of the first
+    assert compute_median_speeds([other, steady]) == pytest.approx([speed])
     stands = replace(steady, is_used=np.zeros((300, 1), dtype=bool))
     assert np.isinf(compute_median_speeds([stands])).all()
     assert count_driving_intervals([steady, other, stands]).tolist() == [350]

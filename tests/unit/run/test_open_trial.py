@@ -203,9 +203,8 @@ def test_a_dropped_trial_says_nothing(capsys):
 def test_a_trial_that_is_broken_off_has_ended():
     trial = tetractl.open_trial(SPEC)
     trial.step(0.1)
-    trial._controller.messages_to_script.put(
-        KeyboardInterrupt()
-    )  # as if Ctrl-C came amid the next step
+    # as if Ctrl-C came amid the next step
+    trial._controller.messages_to_script.put(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         trial.step(0.1)
     with pytest.raises(UsageError, match="cut short"):

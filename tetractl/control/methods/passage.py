@@ -288,9 +288,8 @@ def _best_branches(
     """
     squares = np.square(distances_left[-1]).sum(axis=1)
     order = np.argsort(squares, kind="stable")
-    are_connected = np.isfinite(
-        distances_left.sum(axis=(0, 2))
-    )  # no robot is cut off from its target
+    # no robot is cut off from its target
+    are_connected = np.isfinite(distances_left.sum(axis=(0, 2)))
     best = order[are_connected[order]][: NODES_COMPUTED * nodes_max]
     are_clear = _find_clear(problem, path[:, best, :, :2])
     return best[are_clear][:nodes_max]

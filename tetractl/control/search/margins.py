@@ -123,9 +123,10 @@ class Margins:
         x = targets[:, 0].copy()
         y = targets[:, 1].copy()
         self._target_separation = min_pair_distance(x, y)
+        # shape (O,)
         self._target_gaps = distances_to_obstacles(self._obstacles, x, y).min(
             axis=1, initial=np.inf
-        )  # (O,)
+        )
         self._body_margins = fit_margins(collision.radius, self._target_gaps)  # (O,)
 
     def apply(

@@ -116,9 +116,8 @@ class Column:
     @property
     def listed(self) -> Sequence[Any]:
         """The values of the column as Python objects."""
-        values = (
-            self.values
-        )  # a check with `isinstance(values, Array)` would take as long as 100 values
+        # a check with `isinstance(values, Array)` would take as long as 100 values
+        values = self.values
         return values if isinstance(values, list | tuple) else values.tolist()
 
 

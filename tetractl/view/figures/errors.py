@@ -72,9 +72,8 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
     if len(logs) == 1:
         return _draw_single_trial(logs[0])
     logs_by_folder = _group_by_panel(logs)
-    time_s = np.linspace(
-        0, max(map(end_s, logs)), MEDIAN_POINTS
-    )  # until the end of the longest trial
+    # until the end of the longest trial
+    time_s = np.linspace(0, max(map(end_s, logs)), MEDIAN_POINTS)
     setups = [folder_logs[0].start.setup for folder_logs in logs_by_folder.values()]
     figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
     signs: dict[str, Artist] = {}

@@ -76,9 +76,8 @@ def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     layout = find_layout(version)
     empty = section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
-    after = (
-        2 + layout.has_sizes + layout.channel_section_count
-    )  # skeletons, assets, labelled markers, channels
+    # skeletons, assets, labelled markers, channels
+    after = 2 + layout.has_sizes + layout.channel_section_count
     parts = wire.pack_fields("i", frame.number), empty * 2, section(bodies, version), empty * after
     return b"".join((*parts, suffix(frame, version)))
 

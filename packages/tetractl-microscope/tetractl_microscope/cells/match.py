@@ -125,9 +125,8 @@ def cell_costs(
     body_um = organism.body_um[0]
     offsets = places[None, :, :2] - expected[:, None, :2]
     inverse = np.linalg.inv(covariances + POSITION_SD_UM**2 * np.eye(2))
-    squared_distances = np.einsum(
-        "cbi,cij,cbj->cb", offsets, inverse, offsets
-    )  # Mahalanobis distances
+    # Mahalanobis distances
+    squared_distances = np.einsum("cbi,cij,cbj->cb", offsets, inverse, offsets)
     distances = np.linalg.norm(offsets, axis=-1) / body_um
     sizes = np.array([cell.size for cell in cells]).reshape(-1, 1, 2)
     log_size_differences = np.abs(np.log(places[None, :, 3:5] / sizes))

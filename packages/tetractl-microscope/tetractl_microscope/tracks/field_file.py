@@ -64,9 +64,8 @@ def clock_remarks(
     """
     tracks_span = Span(tracks, start_s, end_s)
     field_span = Span(source, float(field.times[0]), math.inf)
-    covered = (end_s - max(start_s, field_span.begin)) / max(
-        end_s - start_s, 1e-9
-    )  # cells swim all the time
+    # cells swim all the time
+    covered = (end_s - max(start_s, field_span.begin)) / max(end_s - start_s, 1e-9)
     refuse_times_apart(tracks_span, field.times, field_span)
     remark = clock_remark(tracks_span, field.times, field_span, covered)
     return () if remark is None else (f"warning: {remark}",)

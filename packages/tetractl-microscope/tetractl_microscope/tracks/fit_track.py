@@ -315,9 +315,8 @@ class _Fit:
         start_state = start_states[log_posteriors.argmax()]
         smoothed_start = track.smoothed(start_state)[2][0]
         smoothed_start[RESET_STATES] = 0.0
-        candidates = np.array(
-            [start_state, smoothed_start]
-        )  # the second pass may lose a cell that turned by itself
+        # the second pass may lose a cell that turned by itself
+        candidates = np.array([start_state, smoothed_start])
         start_state = candidates[track.likelihood(candidates).argmax()]
         last_state, covariance, states, bodies = track.smoothed(start_state)
         n_parts = max(1, int(track.pieces[:, 0].sum() / BLOCK_S))

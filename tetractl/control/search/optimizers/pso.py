@@ -89,9 +89,8 @@ class Pso(OptimizerSection):
             if progress.stop_reason is None:
                 swarm.iterate()  # line 8
                 progress.add_best(swarm.global_best.signals, swarm.global_best.cost, self.particles)
-                progress.stop_reason = reason_to_stop(
-                    np.array(progress.history), self.stop
-                )  # line 9
+                # line 9 of the algorithm
+                progress.stop_reason = reason_to_stop(np.array(progress.history), self.stop)
             if progress.stop_reason is not None:
                 break  # line 10
         return progress.to_search()  # line 13

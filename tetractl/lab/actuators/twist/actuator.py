@@ -53,9 +53,8 @@ class TwistActuator(WheeledActuator):
         sent_numbers = wheel_speeds
         if self.section.sends != "wheels":
             sent_numbers = self._compute_twists(wheel_speeds)
-            wheel_speeds = self._compute_wheel_speeds(
-                sent_numbers
-            )  # as the robots compute them from rounded numbers
+            # as the robots compute them from rounded numbers
+            wheel_speeds = self._compute_wheel_speeds(sent_numbers)
         sent_ns = self.link.drive([(int(first), int(second)) for first, second in sent_numbers.T])
         return sent_ns, wheel_speeds * self._gain
 

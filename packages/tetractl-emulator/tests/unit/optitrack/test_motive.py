@@ -69,9 +69,8 @@ def test_unicast_clients_time_out_and_are_kept_alive(client):
         client.got()
         assert client.comes(natnet.NatNetFrame)
         assert clock.wait(lambda: not motive.clients)
-        client.send(
-            natnet.BareMessage(natnet.MessageKind.KEEPALIVE)
-        )  # too late: it has to connect again
+        # too late: it has to connect again
+        client.send(natnet.BareMessage(natnet.MessageKind.KEEPALIVE))
         client.send(natnet.NatNetRequest("UpAxis"))
         assert client.comes(natnet.Response)
         assert not motive.clients

@@ -237,8 +237,8 @@ def _measurement_std(prior: Prior) -> Floats:
     position = prior.position_noise
     noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, SPEED_MIN)
     noise[2] = prior.heading_noise or HEADING_NOISE
-    spread = np.array(prior.spread)
-    return elementwise.hypot(noise, spread[:, None])
+    camera_std = np.array(prior.pose_std)
+    return elementwise.hypot(noise, camera_std[:, None])
 
 
 # ---- the banks ----

@@ -50,7 +50,7 @@ class Prior(NamedTuple):
         side_std: Standard deviation of the `side` (`tetractl.model.motion.turn_rate`). The mean is
             0.
         sticks: How often, and for how long, robots ignore commands.
-        spread: What the camera's grid and noise add to the standard deviations of x, y [length
+        pose_std: What the camera's grid and noise add to the standard deviations of x, y [length
             unit] and heading [rad].
         coarse: Whether the camera is so coarse that poses may repeat while robots move.
     """
@@ -73,7 +73,7 @@ class Prior(NamedTuple):
     watchdog: float = math.inf
     side_std: float = 0.0
     sticks: Sticks = Sticks()
-    spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pose_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
     coarse: bool = False
 
     @property

@@ -142,7 +142,7 @@ class PriorSection(Model):
             sticks=Sticks(*RESTS_S, REST_STRAY * mean_speed, REST_TURN)
             if self.rests(setup)
             else Sticks(),
-            spread=(x * mm, y * mm, heading),
+            pose_std=(x * mm, y * mm, heading),
             coarse=setup.sight.has_grid,
         )
 

@@ -499,7 +499,7 @@ def test_a_grid_is_noise_and_its_poses_may_repeat():
     section = experiment.controller
     prior = section.prior.of(section.problem(setup), 0.0, setup)
     model = FilterBank(prior).model
-    usual = FilterBank(prior._replace(spread=(0.0, 0.0, 0.0), coarse=False)).model
+    usual = FilterBank(prior._replace(pose_std=(0.0, 0.0, 0.0), coarse=False)).model
     more = model.noise**2 - usual.noise**2
     assert more[0] == pytest.approx(step_mm**2 / 12)
     assert more[2] == pytest.approx(step_rad**2 / 12)

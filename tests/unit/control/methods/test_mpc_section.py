@@ -92,8 +92,8 @@ def test_the_prior_has_the_lengths_of_the_spec_in_its_unit():
     assert first.flow_std == pytest.approx(0.05 * 150)
     assert first.helix_radius == pytest.approx(1000 * second.helix_radius)
     assert first.helix_radius > 0
-    assert first.spread[:2] == pytest.approx([1000 * v for v in second.spread[:2]])
-    assert first.spread[2] == second.spread[2]
+    assert first.pose_std[:2] == pytest.approx([1000 * v for v in second.pose_std[:2]])
+    assert first.pose_std[2] == second.pose_std[2]
     assert first.helix_frequency == second.helix_frequency
     assert first.side_std == 0
 
@@ -102,7 +102,7 @@ def test_the_prior_has_the_lengths_of_the_spec_in_its_unit():
 def test_the_precision_of_a_camera_is_in_the_unit_of_the_spec(unit, in_unit):
     experiment = loaded(units={"length": unit})
     sight = Sight(grid_mm=4.0, grid_rad=0.1, noise_mm=2.0, noise_rad=0.05)
-    x, y, heading = experiment.controller.known(replace(experiment.setup, sight=sight)).spread
+    x, y, heading = experiment.controller.known(replace(experiment.setup, sight=sight)).pose_std
     x_mm, y_mm, heading_rad = sight.pose_std
     assert x_mm > 0
     assert (x, y) == pytest.approx((x_mm * in_unit, y_mm * in_unit))

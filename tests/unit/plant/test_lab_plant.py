@@ -154,6 +154,15 @@ def test_a_robot_that_counts_as_lost_for_its_camera_is_left_out_or_replaced(
     assert texts == says
 
 
+def test_a_robot_is_not_replaced_before_it_has_been_lost_for_the_time_of_the_spec():
+    lab = fake_lab(replace(SETUP, loss=LossRule(5.0, True)))
+    lab.clock.sleep_until(10 * SECOND)
+    lab.camera.watch = lambda setup, limits: Watch("is now a red robot")
+    lab.plant.open()
+    lab.plant.observe()
+    assert list(lab.plant.rig.loop.guard.lost_robots) == [1]
+
+
 def test_a_long_first_plan_is_no_late_step():
     lab = fake_lab(SETUP, LabLimits(late_steps=2))
     lab.plant.open()

@@ -11,7 +11,8 @@ from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.plant.disturbances.robots import WanderSection
+from tetractl.core.poses import Poses
+from tetractl.plant.disturbances.robots import HeadingDrift, WanderSection
 from tetractl.spec.load import load_spec
 from tetractl.spec.yaml.problems import InvalidSpecError
 
@@ -118,6 +119,13 @@ def test_robots_are_put_down_near_their_starts():
     assert scipy.stats.kstest(off.ravel(), "uniform", (-10, 20)).pvalue > 1e-4
     x_of_robots = off[:, 0].T
     assert abs(np.corrcoef(x_of_robots)[0, 1]) < 0.2
+
+
+def test_a_positive_heading_drift_turns_a_moving_robot_to_the_left():
+    drift = HeadingDrift(np.array([0.2, -0.1, 0.3]))
+    poses = Poses(np.zeros(3), np.zeros(3), np.array([1.0, 1.0, 1.0]))
+    drifted = drift.moved(poses, np.array([1.0, 1.0, 0.0]), 2.0, 0.0)
+    assert drifted.heading == pytest.approx([1.4, 0.8, 1.0])
 
 
 @pytest.mark.long

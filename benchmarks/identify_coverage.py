@@ -88,7 +88,7 @@ def bench_coverage(number: int):
     experiment = spec.experiment
     plant = SimPlant(experiment.plant, experiment.setup, VirtualClock(), trial_seeds(number, 0)[1])
     drive = plant.drive
-    trains = drive.host.trains
+    trains = drive.host.drivetrains
     gains = (trains.true_gain / trains.gain).mean(
         axis=0
     )  # of true speed to that sent, of both wheels

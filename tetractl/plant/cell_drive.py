@@ -28,18 +28,18 @@ class CellDrive:
     the poses at the stop. Real cells swim on.
 
     Args:
-        section: The fields of the culture in the spec. What they do not state is sampled.
+        section: The fields of the culture in the spec. Properties without a field are sampled.
         setup: The constants of the experiment.
         a: Turning rates [rad/s], shape (N,).
         speed: Speeds [length unit/s], shape (N,).
         starts: Poses at the start.
-        walk: Random walk of the headings [rad/sqrt(s)].
+        heading_noise: Random walk of the headings [rad/sqrt(s)].
         seed: Determines everything random.
     """
 
     host = None  # no host computes wheel speeds
-    sampled = True  # the path is integrated in time steps, not known in closed form
-    rest_s = 0.0  # a cell stands as soon as it is stopped
+    is_integrated = True  # from sample to sample
+    stopping_s = 0.0  # a cell stands as soon as it is stopped
 
     def __init__(
         self,
@@ -48,28 +48,30 @@ class CellDrive:
         a: Floats,
         speed: Floats,
         starts: Poses,
-        walk: float,
+        heading_noise: float,
         seed: np.random.SeedSequence,
     ) -> None:
         from tetractl.plant.drive_kernels import swim  # late: reading a spec needs no kernel
 
         self._swim = swim
         self._random = generator(seed, RandomStream.BODIES)
-        self._unit_um = setup.metres * 1e6
-        self.cells = self._drawn(section, setup, walk)
+        self._um_per_unit = setup.metres * 1e6
+        self.cells = self._sample_cells(section, setup, heading_noise)
         self.gains = np.ones((2, a.size))  # no wheels
         self.vary(a, speed)
         self.poses = starts
 
-    def _drawn(self, section: CultureSection, setup: Setup, walk: float) -> CellArrays:
-        """Sample the properties of the cells that the spec does not give, all at rest.
+    def _sample_cells(
+        self, section: CultureSection, setup: Setup, heading_noise: float
+    ) -> CellArrays:
+        """Sample the cells' properties that are not in the spec. All cells rest at first.
 
         The order of sampling determines the result, so it must not change.
         """
-        count = len(setup.names)
-        cells = Swimmers.drawn(self._random, count)
-        cells.bias = self._random.normal(0, section.dipole, count)
-        cells.walk = np.full(count, walk)
+        n_cells = len(setup.names)
+        cells = Swimmers.drawn(self._random, n_cells)
+        cells.bias = self._random.normal(0, section.dipole, n_cells)
+        cells.walk = np.full(n_cells, heading_noise)
         cells.resting[:] = True
         flow_direction = self._random.uniform(-math.pi, math.pi)
         flow_x_um_s = section.drift * cos(flow_direction)
@@ -90,8 +92,8 @@ class CellDrive:
         cells = self.cells
         to_the_left_um = cells.helix_um * elementwise.cos(cells.phase)
         x_um, y_um = to_the_left(poses.heading, to_the_left_um)
-        cells.x[:] = poses.x * self._unit_um - x_um
-        cells.y[:] = poses.y * self._unit_um - y_um
+        cells.x[:] = poses.x * self._um_per_unit - x_um
+        cells.y[:] = poses.y * self._um_per_unit - y_um
         cells.heading[:] = poses.heading
         self._poses = poses
 
@@ -105,15 +107,15 @@ class CellDrive:
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds, shape (N,) each, starting now."""
         self.cells.a[:] = a
-        self.cells.speed[:] = speed * self._unit_um
+        self.cells.speed[:] = speed * self._um_per_unit
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
         """Move the cells, and return x, y and heading (M, 3, N); see `Drive.advance`."""
-        steps = steps_until(since_ns, times_ns.tolist())
-        count = self.cells.x.size
-        noise = self._random.standard_normal((steps, 2, count))
-        path = np.empty((times_ns.size, 3, count))
-        self._swim(self.cells, since_ns, times_ns, noise, self._unit_um, path)
+        n_steps = steps_until(since_ns, times_ns.tolist())
+        n_cells = self.cells.x.size
+        noise = self._random.standard_normal((n_steps, 2, n_cells))
+        path = np.empty((times_ns.size, 3, n_cells))
+        self._swim(self.cells, since_ns, times_ns, noise, self._um_per_unit, path)
         self._poses = Poses(*path[-1].copy())
         return path
 

@@ -9,7 +9,7 @@ from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.model.motion.motion import Held, Motion
 from tetractl.spec.disturbance import DelayedCommand
 
-LEAST_A = 1e-12
+A_MIN_RAD_S = 1e-12
 """Minimum turning rate a that the equations use [rad/s], because they divide by it."""
 
 
@@ -38,29 +38,29 @@ class DirectDrive:
     """
 
     host = None  # robots are sent the direction itself
-    sampled = False  # the path is known in closed form between samples too
-    rest_s = 0.0  # robots stand as soon as they are stopped
+    is_integrated = False  # the path is known in closed form between samples too
+    stopping_s = 0.0  # robots stand as soon as they are stopped
 
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
-        robots = a.size
+        n_robots = a.size
         self.poses = starts
-        self.gains = np.ones((2, robots))  # no wheels
+        self.gains = np.ones((2, n_robots))  # no wheels
         self._motion = motion
         self.held = Held(
-            direction=np.zeros(robots),
-            turning=np.zeros(robots),
-            course=np.zeros(robots),
-            moving=np.zeros(robots),
+            direction=np.zeros(n_robots),
+            turning=np.zeros(n_robots),
+            course=np.zeros(n_robots),
+            moving=np.zeros(n_robots),
         )
         """The command that each robot follows at present."""
-        self._sine = np.zeros(robots)  # sin(u - heading) when the command was received
-        self._without_field = np.zeros(robots, dtype=np.bool_)
-        self._on_the_spot = np.zeros(robots, dtype=np.bool_)  # robots that turn without driving
+        self._sine = np.zeros(n_robots)  # sin(u - heading) when the command was received
+        self._without_field = np.zeros(n_robots, dtype=np.bool_)
+        self._on_the_spot = np.zeros(n_robots, dtype=np.bool_)  # robots that turn without driving
         self.vary(a, speed)
 
     @property
     def commanded(self) -> Floats:
-        """1 for each robot that moves after its last command, 0 for the others, shape (N,)."""
+        """1 for each robot whose last command makes it move, 0 for the others, shape (N,)."""
         return self.held.moving
 
     @property
@@ -74,7 +74,7 @@ class DirectDrive:
         A robot with a = 0 and speed 0 stands still.
         """
         self._able = (a > 0) | (speed > 0)
-        self._a = np.maximum(a, LEAST_A)
+        self._a = np.maximum(a, A_MIN_RAD_S)
         self._speed = speed
         self.held.turning = a * self._sine
 

@@ -1,4 +1,4 @@
-"""The plant of the lab: real robots with a camera and an actuator.
+"""The plant of a lab: real robots, a camera that measures their poses, and an actuator.
 
 `LabFrames` converts the frames that the guard has accepted to observations and samples.
 """
@@ -38,7 +38,7 @@ from tetractl.tools.worker import QUEUE_MAX
 
 
 class RigSection(LabSection):
-    """Base class of the fields of a lab, real or emulated, whose devices form one `Rig`."""
+    """Base class of the fields of a real or emulated lab whose devices form a connected `Rig`."""
 
     def clock(self) -> Clock:
         """Return the clock of the trials: the host's monotonic clock."""
@@ -59,8 +59,8 @@ class RigSection(LabSection):
             clock: The clock of the run.
             seed: Seed of an emulated lab. Real labs ignore it.
             supervision: How people supervise the run. None if nobody does.
-            chosen: Whether the robots of the trial still have to be found. Only an emulated lab
-                uses this.
+            chosen: Whether the robots of the trial still have to be found among all robots. Only an
+                emulated lab uses this value.
 
         Raises:
             AbortError: If the devices of an emulated lab cannot be real and emulated one by one.
@@ -91,35 +91,35 @@ class LabPlantSection(RigSection):
     type: Literal["lab"] = "lab"
 
 
-RECENT_MAX = 600
-"""Maximum number of recent observations kept: a few seconds.
+RECENT_OBSERVATIONS_MAX = 600
+"""Maximum number of recent observations that are kept, for a few seconds.
 
 If robots cannot stand still, the observation nearest to the stop gives the final poses.
 """
 
 
 class LabFrames:
-    """Reads the camera frames of a connected lab for a trial.
+    """Reads the camera frames of a connected lab for a trial, and checks the robots' paths.
 
-    `newest` is the last frame that was read. It is None before the first frame. The robots' paths
-    are checked frame by frame. The paths of lost robots are left out.
+    The paths of lost robots are not checked.
+
+    Attributes:
+        newest: The last frame that was read. None before the first frame.
+        path_check: The check of the paths so far.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.newest: Observation | None = None
         self._rig = rig
         self._frame_adder = rig.camera if isinstance(rig.camera, AddsToFrames) else None
-        self._heading = rig.setup.starts.heading  # not wrapped, of the last poses
+        self._last_headings = rig.setup.starts.heading  # not wrapped
         self.path_check = PathCheck.for_setup(rig.setup)
-        self._read_count = 0  # of the rig's accepted frames
-        self._additions: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
-        self._recent: deque[Observation] = deque(maxlen=RECENT_MAX)
+        self._read_count = 0  # number of accepted frames that were read
+        self._addition_by_exposure_ns: dict[int, FrameAddition] = {}
+        self._recent_observations: deque[Observation] = deque(maxlen=RECENT_OBSERVATIONS_MAX)
 
     def begin(self) -> None:
-        """Start with the newest frame, so that `read` returns it first.
-
-        Earlier frames are ignored.
-        """
+        """Ignore all frames before the newest frame, which `read` then returns first."""
         self._read_count = self._rig.loop.frames.count - 1
 
     def read(self) -> list[Sample]:
@@ -130,13 +130,13 @@ class LabFrames:
         frames, self._read_count = self._rig.loop.frames.since(self._read_count)
         if self._frame_adder is not None:
             for addition in self._frame_adder.additions():
-                self._additions[addition.sampled_ns] = addition
-        observations = [self._observation(frame) for frame in frames]
+                self._addition_by_exposure_ns[addition.sampled_ns] = addition
+        observations = [self._to_observation(frame) for frame in frames]
         samples: list[Sample] = []
         for observation in observations:
-            addition = self._additions.get(observation.sampled_ns)
+            addition = self._addition_by_exposure_ns.get(observation.sampled_ns)
             messages = addition.messages if addition else ()
-            self._recent.append(observation)
+            self._recent_observations.append(observation)
             samples.append(Sample(observation, None, messages))
         if observations:
             self.newest = observations[-1]
@@ -146,30 +146,33 @@ class LabFrames:
             valid = np.array([observation.valid for observation in observations])
             self.path_check.add(x, y, valid)
         if self.newest is not None:  # frames that the guard rejected give no sample
-            for sampled_ns in list(self._additions):
+            for sampled_ns in list(self._addition_by_exposure_ns):
                 if sampled_ns <= self.newest.sampled_ns:
-                    del self._additions[sampled_ns]
+                    del self._addition_by_exposure_ns[sampled_ns]
         return samples
 
-    def nearest(self, t_ns: int) -> Observation:
+    def find_nearest(self, time_ns: int) -> Observation:
         """Return the recent observation whose exposure is nearest to a time of the run [ns]."""
-        return min(self._recent, key=lambda frame: abs(frame.sampled_ns - t_ns))
+        return min(
+            self._recent_observations,
+            key=lambda observation: abs(observation.sampled_ns - time_ns),
+        )
 
-    def _observation(self, accepted: AcceptedFrame) -> Observation:
-        """Convert the next frame to an observation, with headings unwrapped relative to the last.
+    def _to_observation(self, accepted: AcceptedFrame) -> Observation:
+        """Convert the next frame to an observation whose headings continue the last without jumps.
 
         A robot that has had no pose so far counts as being at its start.
         """
         starts = self._rig.setup.starts
         x = starts.x.copy()
         y = starts.y.copy()
-        heading = self._heading.copy()
+        heading = self._last_headings.copy()
         for i, pose in enumerate(accepted.poses):
             if pose is not None:
                 x[i] = pose.x
                 y[i] = pose.y
                 heading[i] += math.remainder(pose.heading - heading[i], math.tau)
-        self._heading = heading
+        self._last_headings = heading
         frame = accepted.frame
         return Observation(
             frame.number,
@@ -198,13 +201,15 @@ class LabPlant:
         self._kind = kind
         self._supervision = supervision
         self._frames = LabFrames(rig)
-        self._samples: list[Sample] = []  # not yet returned, oldest first
-        self._notes: deque[Note] = deque(maxlen=QUEUE_MAX)  # not yet read
-        self._returned: set[int] = set()  # send times of commands that a call has returned
+        self._unread_samples: list[Sample] = []  # not yet returned, oldest first
+        self._unread_notes: deque[Note] = deque(maxlen=QUEUE_MAX)
+        # of the commands that `send` or `stop` has returned
+        self._returned_send_times_ns: set[int] = set()
         self._observed_ns: int | None = None  # when the frame of this control step was observed
-        self._stop: Command | None = None
+        self._first_stop: Command | None = None
         self._stopped_ns = 0  # when the robots were stopped last, 0 before
-        self._settled = False  # whether the frames up to the verdict are still to be returned
+        # whether `samples` has yet to return the frames up to the verdict
+        self._has_final_frames = False
 
     @property
     def setup(self) -> Setup:
@@ -224,16 +229,16 @@ class LabPlant:
         try:
             findings = wait_until_ready(rig, self._supervision)
         except AbortError as error:
-            raise self._start_error(error) from None
+            raise self._handle_failed_start(error) from None
         now_ns = self.clock.now()
         for warning in findings.all_warnings:
-            self._notes.append(Note(now_ns, "warning", warning))
+            self._unread_notes.append(Note(now_ns, "warning", warning))
         rig.loop.guard.pass_preflight()
         self._frames.begin()
         if rig.loop.frames.newest is None:
             raise AbortError("no camera frame has arrived")
         rate_hz = findings.camera_rate_hz or 0.0
-        facts = {**_facts(findings), HALTS_FACT: "yes" if rig.actuator.halts else "no"}
+        facts = {**_collect_facts(findings), HALTS_FACT: "yes" if rig.actuator.halts else "no"}
         return PlantInfo(self._kind, False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
@@ -252,26 +257,28 @@ class LabPlant:
     def send(self, action: Action) -> Command:
         """Send an action repeatedly, starting now, and return its first transmission.
 
-        A stop is sent ten times. If the guard holds all robots still at present, the returned
-        command was delivered to none.
+        A stop is sent ten times. If the guard holds all robots still at present, `delivered` of the
+        returned command is False for every robot.
 
         Raises:
-            AbortError: If the guard has ended the run, or for `FieldOff`.
+            AbortError: If the guard has ended the run, or if the action is `FieldOff`.
         """
         if isinstance(action, FieldOff):
             raise AbortError("this lab cannot switch off its field while the robots drive")
         if isinstance(action, Stop):
-            return self._halt()
+            return self._send_stops()
         guard = self.rig.loop.guard
         if isinstance(action, Steer) and self._observed_ns is not None:
-            begins = guard.state is GuardState.READY  # a step that begins a run is never late
+            is_first_step = guard.state is GuardState.READY  # the first step is never late
             period_ns = round(self.setup.period_s * SECOND)
-            guard.record_step(not begins and self.clock.now() - self._observed_ns > period_ns)
+            guard.record_step(
+                not is_first_step and self.clock.now() - self._observed_ns > period_ns
+            )
         self._observed_ns = None
-        self._check_pause("in a pause")
+        self._abort_if_moved("in a pause")
         self._raise_abort()
         sent = self.rig.loop.hold(action)
-        self._returned.add(sent.sent_ns)
+        self._returned_send_times_ns.add(sent.sent_ns)
         if isinstance(sent.action, Stop):  # the guard holds all robots still at present
             return replace(sent, action=action, delivered=(False,) * len(sent.delivered))
         return sent
@@ -281,30 +288,32 @@ class LabPlant:
 
         The first call after `settle` returns frames up to the frame with the verdict's final poses.
         """
-        if not self._settled:
+        if not self._has_final_frames:
             self._take_frames()
-        self._settled = False
-        samples = self._samples
-        self._samples = []
+        self._has_final_frames = False
+        samples = self._unread_samples
+        self._unread_samples = []
         return samples
 
     def events(self) -> list[Command | Note]:
-        """Return warnings, and every transmission that `send` did not return, oldest first.
+        """Return new notes, and new transmissions that `send` did not return, oldest first.
 
-        Only what is new since the last call is returned.
+        The result contains only what happened since the last call.
         """
         warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.take_warnings()]
         events: list[Command | Note] = [
-            *self._notes,
+            *self._unread_notes,
             *(
                 sent
                 for sent in self.rig.loop.take_transmissions()
-                if sent.sent_ns not in self._returned
+                if sent.sent_ns not in self._returned_send_times_ns
             ),
             *warnings,
         ]
-        self._notes.clear()
-        return sorted(events, key=lambda it: it.t_ns if isinstance(it, Note) else it.sent_ns)
+        self._unread_notes.clear()
+        return sorted(
+            events, key=lambda event: event.t_ns if isinstance(event, Note) else event.sent_ns
+        )
 
     def stop(self) -> Command:
         """Send ten stops to every robot within 200 ms, and return the first of them.
@@ -312,38 +321,36 @@ class LabPlant:
         Only the first call sends stops. Later calls return the same command, even if no stop could
         be sent; `delivered` is then False for every robot.
         """
-        if self._stop is None:
-            self._stop = self._halt()
-        return self._stop
+        if self._first_stop is None:
+            self._first_stop = self._send_stops()
+        return self._first_stop
 
     def settle(self) -> Verdict:
-        """Wait until every robot is tracked and, if possible, stands still.
+        """Wait until every robot is tracked and, if possible, stands still, and check the path.
 
-        Then check the path.
-
-        If there was a fault since the last step, such as a stop that could not be sent, the robots
-        do not count as standing still.
+        After a fault since the last step, such as a stop that could not be sent, the robots do not
+        count as standing still.
 
         Returns:
             The verdict. Its `can_restart` is False if a person has to look at robots or devices
             first.
         """
         guard = self.rig.loop.guard
-        standstill = self._come_to_rest()
-        if self._check_pause("after the stop") and not standstill.fault:
-            standstill = self._come_to_rest()  # as after every abort
+        standstill = self._wait_for_standstill()
+        if self._abort_if_moved("after the stop") and not standstill.fault:
+            standstill = self._wait_for_standstill()  # as after every abort
         not_at_rest_reason = standstill.reason
         if not_at_rest_reason:
-            self._note("error", not_at_rest_reason)
+            self._add_note("error", not_at_rest_reason)
         if guard.dropped_frame_count:
-            self._note("warning", describe_dropped_frames(guard.dropped_frame_count))
+            self._add_note("warning", describe_dropped_frames(guard.dropped_frame_count))
         turning_note = guard.drift.describe_turning()
         if turning_note:
-            self._note("info", turning_note)
+            self._add_note("info", turning_note)
         if guard.state is GuardState.ABORT:
             not_at_rest_reason = not_at_rest_reason or guard.reason
         self._take_frames()
-        self._settled = True
+        self._has_final_frames = True
         turn, turn_std = guard.drift.estimate_turning()
         verdict = self._frames.path_check.verdict(self._final_poses(), not_at_rest_reason)
         return replace(
@@ -365,35 +372,35 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Read the frames that the guard has newly accepted, and report lost robots."""
         samples = self._frames.read()
-        self._samples += samples
+        self._unread_samples += samples
         watch = self._watch
         newest = self._frames.newest
         if watch is None or newest is None:
             return
         for sample in samples:
-            self._notes.extend(watch.see(sample.observation.sampled_ns))
-        self._take_losses(watch, newest.sampled_ns)
+            self._unread_notes.extend(watch.see(sample.observation.sampled_ns))
+        self._report_losses(watch, newest.sampled_ns)
 
     @cached_property
     def _watch(self) -> RobotWatch | None:
-        """The camera's watch for lost robots. None if the camera has none.
+        """The camera's watch for lost robots. None if the camera has no such watch.
 
-        It is cached, because looking for a protocol's members takes as long as checking a frame.
+        The result is cached, because a check of the protocol takes as long as a check of a frame.
         """
         camera = self.rig.camera
         watches = isinstance(camera, WatchesRobots)
         return camera.watch(self.setup, self.rig.limits) if watches else None
 
-    def _take_losses(self, watch: RobotWatch, now_ns: int) -> None:
-        """Report the robots that the camera's watch counts as lost to the guard.
+    def _report_losses(self, watch: RobotWatch, now_ns: int) -> None:
+        """Tell the guard which robots the camera has lost, and replace robots lost for too long.
 
-        If the spec allows it, another body replaces a robot that has been lost for long enough.
+        A robot is replaced by another body only if the spec allows replacements.
         """
         losses = tuple(watch.lost())
         if losses:
             with self.rig.loop.between_steps() as guard:
-                for lost in losses:
-                    guard.lose_robot(lost.robot, lost.text)
+                for loss_report in losses:
+                    guard.lose_robot(loss_report.robot, loss_report.text)
         loss = self.setup.loss
         if loss is None or not loss.replaces_lost:
             return
@@ -404,82 +411,95 @@ class LabPlant:
             if replacement:
                 with self.rig.loop.between_steps() as guard:
                     guard.replace_robot(i)
-                self._notes.append(Note(now_ns, "warning", f"{self.setup.names[i]} {replacement}"))
+                self._unread_notes.append(
+                    Note(now_ns, "warning", f"{self.setup.names[i]} {replacement}")
+                )
 
     def _final_poses(self) -> Poses:
-        """Return the final poses of the robots.
+        """Return the final poses of the robots: usually the poses at standstill.
 
-        The poses are those at standstill. If the robots swim on, the frame whose exposure is
-        nearest to the time of the stop gives the poses. Without any frame, they are the starts.
+        If the robots swim on after a stop, the final poses come from the frame whose exposure is
+        nearest to the time of the stop. Without any frame, they are the start poses.
         """
         newest = self._frames.newest
         if newest is None:
             return self.setup.starts
         if self.rig.actuator.halts:
             return newest.poses
-        return self._frames.nearest(self._stopped_ns).poses
+        return self._frames.find_nearest(self._stopped_ns).poses
 
     # ---- commands ----
 
-    def _halt(self) -> Command:
-        """Stop every robot until another action is sent, and return the first of the stops."""
-        self._stopped_ns = self.clock.now()
-        first = self.rig.loop.stop()
-        self._observed_ns = None
-        robots = len(self.setup.names)
-        if first is None:
-            return Command(Stop(), self._stopped_ns, delivered=(False,) * robots)
-        self._returned.add(first.sent_ns)
-        return replace(first, delivered=(self.rig.actuator.failure is None,) * robots)
+    def _send_stops(self) -> Command:
+        """Send stops to every robot, and return the first stop.
 
-    def _come_to_rest(self) -> Standstill:
-        """Stop the robots until the camera shows all of them standing still."""
+        The robots stand still until another action is sent.
+        """
+        self._stopped_ns = self.clock.now()
+        first_stop = self.rig.loop.stop()
+        self._observed_ns = None
+        n_robots = len(self.setup.names)
+        if first_stop is None:
+            return Command(Stop(), self._stopped_ns, delivered=(False,) * n_robots)
+        self._returned_send_times_ns.add(first_stop.sent_ns)
+        return replace(first_stop, delivered=(self.rig.actuator.failure is None,) * n_robots)
+
+    def _wait_for_standstill(self) -> Standstill:
+        """Wait until the camera shows all robots standing still, and describe their standstill."""
         if self.rig.loop.frames.newest is None:
             return Standstill()
         return wait_for_rest(self.rig, self._supervision.cancelled)
 
-    def _start_error(self, error: AbortError) -> AbortError:
-        """Return the error for a run that does not start, after stopping robots that move.
+    def _handle_failed_start(self, error: AbortError) -> AbortError:
+        """Stop robots that move although the run does not start, and return the error to raise.
 
-        The error's message then also names robots that may still be driving.
+        The message of this error also names robots that may still be driving.
         """
         if not (self.rig.actuator.halts and describe_drifting_robots(self.rig)):
             return error
-        self._halt()
+        self._send_stops()
         self.rig.loop.guard.abort(error.message)
-        return AbortError(join_messages(error.message, self._come_to_rest().unrest), error.hint)
+        return AbortError(
+            join_messages(error.message, self._wait_for_standstill().unrest), error.hint
+        )
 
-    def _check_pause(self, when: str) -> bool:
-        """Abort if a robot moved while none was commanded to, and return whether it did.
+    def _abort_if_moved(self, message_start: str) -> bool:
+        """Abort if a robot moved in a pause, and return whether a robot moved.
 
-        Only motion after all robots had stood still for a while counts. `when` starts the message.
+        In a pause, no robot is commanded to move. Only motion after all robots had stood still for
+        a while counts.
+
+        Args:
+            message_start: Start of the message, such as "in a pause".
         """
         guard = self.rig.loop.guard
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):
             return False
-        lines: list[str] = []
+        motion_texts: list[str] = []
         if self.clock.now() - self._stopped_ns > STANDSTILL_NS:
-            lines += describe_drifting_robots(self.rig, WINDOW_MULTIPLES[:1])
-        moved = guard.pause_motions
-        if len(moved) == len(self.setup.names) > 1:
-            lines.append(CAMERA_MOVED)
+            motion_texts += describe_drifting_robots(self.rig, WINDOW_MULTIPLES[:1])
+        motion_by_robot = guard.pause_motions
+        if len(motion_by_robot) == len(self.setup.names) > 1:
+            motion_texts.append(CAMERA_MOVED)
         else:
-            lines += [f"{self.setup.names[i]} {how}" for i, how in moved.items()]
-        if lines:  # the first reason stays
-            guard.abort(f"{when} {lines[0]}")
-        return bool(lines)
+            motion_texts += [
+                f"{self.setup.names[i]} {motion_text}" for i, motion_text in motion_by_robot.items()
+            ]
+        if motion_texts:  # the first reason stays
+            guard.abort(f"{message_start} {motion_texts[0]}")
+        return bool(motion_texts)
 
     def _raise_abort(self) -> None:
         """Raise AbortError with the guard's reason if the guard has aborted the run."""
         if self.rig.loop.guard.state is GuardState.ABORT:
             raise AbortError(self.rig.loop.guard.reason)
 
-    def _note(self, level: str, text: str) -> None:
-        """Add a note to the operator, with the present time."""
-        self._notes.append(Note(self.clock.now(), level, text))
+    def _add_note(self, level: str, text: str) -> None:
+        """Add a note for the operator, with the present time."""
+        self._unread_notes.append(Note(self.clock.now(), level, text))
 
 
-def _facts(findings: Preflight) -> dict[str, str]:
+def _collect_facts(findings: Preflight) -> dict[str, str]:
     """Collect the facts of the preflight check for the log, such as latency and batteries."""
     latency_ms = findings.latency_ms
     batteries = [

@@ -42,8 +42,8 @@ from tetractl.plant.transit import Transit, Watchdogs
 from tetractl.plant.true_motion import Drive, MotionDisturbances, TrueMotion
 from tetractl.spec.disturbance import Disturbance
 
-NO_FRAME_S = 60
-"""Time without a frame after the stop after which the trial is aborted [s]."""
+NO_FRAME_TIMEOUT_S = 60
+"""Maximum time to wait for a frame after the stop, before the trial is aborted [s]."""
 
 
 def draw_robots(
@@ -65,10 +65,10 @@ def draw_robots(
     Returns:
         Turning rates a [rad/s], speeds [length unit/s] and start poses.
     """
-    robots = len(setup.names)
+    n_robots = len(setup.names)
     # in this order: it is part of the result
-    a = setup.a * (1 + settings.a_error * random.uniform(-1, 1, robots))
-    speed = setup.speed * (1 + settings.speed_error * random.uniform(-1, 1, robots))
+    a = setup.a * (1 + settings.a_error * random.uniform(-1, 1, n_robots))
+    speed = setup.speed * (1 + settings.speed_error * random.uniform(-1, 1, n_robots))
     starts = setup.starts
     for disturbance in disturbances:
         a, speed = disturbance.parameters(a, speed)
@@ -84,7 +84,7 @@ def build_drive(
     starts: Poses,
     seed: np.random.SeedSequence,
 ) -> Drive:
-    """Create the `Drive` that moves the robots: wheels, cells, or the spec's motion itself.
+    """Create the `Drive` that moves the simulated robots: wheels, cells, or the spec's motion.
 
     A trial imports only the drive that it uses.
 
@@ -103,8 +103,8 @@ def build_drive(
     if settings.cells is not None:
         from tetractl.plant.cell_drive import CellDrive
 
-        walk = settings.heading_noise
-        return CellDrive(settings.cells, setup, a, speed, starts, walk, seed)
+        heading_noise = settings.heading_noise
+        return CellDrive(settings.cells, setup, a, speed, starts, heading_noise, seed)
     return DirectDrive(MOTIONS.load(settings.motion), a, speed, starts)
 
 
@@ -147,9 +147,11 @@ class SimPlant:
             n_robots, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
         )
         """The simulated camera that measures the robots' poses."""
-        walk_rad = 0.0  # drives that sum up their path walk at each of its samples instead
-        if not drive.sampled:
-            walk_rad = float(settings.heading_noise / np.sqrt(settings.camera_rate))
+        heading_walk_rad = (
+            0.0  # a drive with an integrated path makes the walk's steps at its samples instead
+        )
+        if not drive.is_integrated:
+            heading_walk_rad = float(settings.heading_noise / np.sqrt(settings.camera_rate))
         transit = Transit(n_robots, disturbances)
         self._sender = CommandSender(
             settings,
@@ -166,12 +168,12 @@ class SimPlant:
             transit=transit,
             watchdogs=Watchdogs(n_robots, setup.watchdog_s),
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
-            walk_rad=walk_rad,
-            walking=generator(seed, RandomStream.HEADINGS),
-            check=PathCheck.for_setup(setup),
+            heading_walk_rad=heading_walk_rad,
+            walk_random=generator(seed, RandomStream.HEADINGS),
+            path_check=PathCheck.for_setup(setup),
             sender=self._sender,
         )
-        self._stop: Command | None = None
+        self._first_stop: Command | None = None
 
     @property
     def poses(self) -> Poses:
@@ -206,17 +208,17 @@ class SimPlant:
     def send(self, action: Action) -> Command:
         """Let the planning time pass, then send an action to every robot.
 
-        A stop is repeated until every robot has received it. The command answers the frame that it
-        was planned on. However, the host of robots on wheels computes their wheel speeds at the
+        A stop is repeated until every robot has received a stop. The command answers the frame on
+        which it was planned. However, the host of robots on wheels computes the wheel speeds at the
         moment of sending, from the newest frame.
         """
-        planned_on = self.observe()
+        planned_frame = self.observe()
         self._let_planning_time_pass()
         now_ns = self.clock.now()
         if isinstance(action, Stop):
-            command = self._sender.send_stops(now_ns, planned_on)
+            command = self._sender.send_stops(now_ns, planned_frame)
         elif self.drive.host is None:
-            command = self._sender.send(now_ns, planned_on, action)
+            command = self._sender.send(now_ns, planned_frame, action)
         else:
             command = self._sender.send(now_ns, self._newest_frame(), action)
         self._catch_up()
@@ -225,28 +227,28 @@ class SimPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
         self._catch_up()
-        return self.camera.samples()
+        return self.camera.take_samples()
 
     def events(self) -> list[Command | Note]:
-        """Return the commands that repeated a held direction since the last call, oldest first."""
-        repeated = self._motion.repeated
-        self._motion.repeated = []
+        """Return the commands that the host has repeated since the last call, oldest first."""
+        repeated = self._motion.repeated_commands
+        self._motion.repeated_commands = []
         return repeated
 
     def stop(self) -> Command:
         """Send a stop to all robots. Later calls only return the command of the first call."""
-        if self._stop is None:
-            self._stop = self.send(Stop())
-        return self._stop
+        if self._first_stop is None:
+            self._first_stop = self.send(Stop())
+        return self._first_stop
 
     def settle(self) -> Verdict:
         """Wait until a frame shows all robots standing still, and check the true path.
 
         Raises:
-            AbortError: If no frame arrives within NO_FRAME_S.
+            AbortError: If no frame arrives within NO_FRAME_TIMEOUT_S.
         """
-        stopped_ns = max(self._motion.transit.settled_ns, self.clock.now())
-        standstill_ns = stopped_ns + round(self.drive.rest_s * SECOND)
+        stopped_ns = max(self._motion.transit.last_due_ns, self.clock.now())
+        standstill_ns = stopped_ns + round(self.drive.stopping_s * SECOND)
         two_frames_ns = round(2 * SECOND / self.settings.camera_rate)
         self.clock.sleep_until(standstill_ns + two_frames_ns)
         self._catch_up()
@@ -261,30 +263,31 @@ class SimPlant:
         self._motion.advance(self.clock.now())
 
     def _newest_frame(self) -> Observation:
-        """Return the newest frame that the host has received. There must be one."""
+        """Return the newest frame that the host has received. `open` must have been called."""
         newest = self.camera.newest
         assert newest is not None, "there is no frame: call open() first"
         return newest
 
-    def _await_frame(self, since_ns: int) -> None:
-        """Wait until the host has received a frame exposed at `since_ns` or later.
+    def _await_frame(self, exposed_min_ns: int) -> None:
+        """Wait until the host has received a frame exposed at `exposed_min_ns` or later.
 
-        Raises AbortError after NO_FRAME_S without such a frame.
+        Raises:
+            AbortError: If no such frame arrives within NO_FRAME_TIMEOUT_S.
         """
-        give_up_ns = self.clock.now() + NO_FRAME_S * SECOND
+        give_up_ns = self.clock.now() + NO_FRAME_TIMEOUT_S * SECOND
         camera = self.camera
-        while camera.newest is None or camera.newest.sampled_ns < since_ns:
-            arriving_ns = camera.arriving_ns
-            if arriving_ns is None:
+        while camera.newest is None or camera.newest.sampled_ns < exposed_min_ns:
+            next_arrival_ns = camera.next_arrival_ns
+            if next_arrival_ns is None:
                 self.clock.sleep_until(self._motion.timetable.next_frame_ns)
             else:
-                self.clock.sleep_until(arriving_ns)
+                self.clock.sleep_until(next_arrival_ns)
             if self.clock.now() > give_up_ns:
-                raise AbortError(f"no camera frame has arrived for {NO_FRAME_S} s")
+                raise AbortError(f"no camera frame has arrived for {NO_FRAME_TIMEOUT_S} s")
             self._catch_up()
 
     def _let_planning_time_pass(self) -> None:
-        """Sleep as long as planning takes. Without a disturbance, planning takes no time."""
+        """Sleep for the planning time. Without a disturbance, the planning time is 0."""
         now_ns = self.clock.now()
         planning_s = sum(
             disturbance.planning_s(now_ns / SECOND) for disturbance in self.disturbances

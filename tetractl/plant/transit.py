@@ -19,66 +19,73 @@ class Transit:
     previous one takes effect together with it.
     """
 
-    def __init__(self, robots: int, disturbances: Sequence[Disturbance]) -> None:
+    def __init__(self, n_robots: int, disturbances: Sequence[Disturbance]) -> None:
         self._disturbances = overriding(disturbances, Disturbance.sent)
         self._in_flight = list[DelayedCommand]()  # by `due_ns`
-        self._last_ns = [0] * robots  # when the command sent last acts on each robot [ns]
+        self._last_due_ns = [0] * n_robots  # when the last command sent takes effect on each robot
 
     @property
-    def settled_ns(self) -> int:
-        """The time at which the last command sent so far acts on the last robot [ns]."""
-        return max(self._last_ns, default=0)
+    def last_due_ns(self) -> int:
+        """The time at which all commands sent so far have taken effect on all robots [ns]."""
+        return max(self._last_due_ns, default=0)
 
     @property
-    def next_ns(self) -> int:
-        """The time at which the next command takes effect [ns]. NEVER if there is none."""
+    def next_due_ns(self) -> int:
+        """The time at which the next command takes effect [ns]. NEVER_NS without such a command."""
         return self._in_flight[0].due_ns if self._in_flight else NEVER_NS
 
     def send(self, command: DelayedCommand, now_ns: int) -> DelayedCommand:
-        """Send a command at `now_ns`, and return it as disturbances have changed it.
+        """Send a command at `now_ns`, and return the command as the disturbances have changed it.
 
-        The result contains the time at which it takes effect and the robots that receive it.
+        The result contains the time at which the command takes effect, and the robots that receive
+        the command.
         """
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
-        if command.late_ns is None and command.due_ns >= max(self.settled_ns, now_ns):
-            # it acts on all robots at once, after every other one
-            self._last_ns = [command.due_ns] * len(self._last_ns)
+        if command.late_ns is None and command.due_ns >= max(self.last_due_ns, now_ns):
+            # the command acts on all robots at once, after every other command
+            self._last_due_ns = [command.due_ns] * len(self._last_due_ns)
             self._in_flight.append(command)
         else:
             self._add_by_robot(command, now_ns)
         return command
 
     def pop(self) -> DelayedCommand:
-        """Remove the command that takes effect next, and return it. There must be one."""
+        """Remove and return the command that takes effect next. A command must be in flight."""
         return self._in_flight.pop(0)
 
     def _add_by_robot(self, command: DelayedCommand, now_ns: int) -> None:
-        """Split a command into parts, one for each time at which it reaches some of the robots."""
-        robots = len(self._last_ns)
-        late_ns = [0] * robots if command.late_ns is None else command.late_ns.tolist()
-        self._last_ns = [
-            max(command.due_ns + robot_late_ns, robot_last_ns, now_ns)
-            for robot_late_ns, robot_last_ns in zip(late_ns, self._last_ns, strict=True)
+        """Queue a command in parts, one for each time at which it takes effect on some robots."""
+        n_robots = len(self._last_due_ns)
+        robot_delays_ns = [0] * n_robots if command.late_ns is None else command.late_ns.tolist()
+        self._last_due_ns = [
+            max(command.due_ns + robot_delay_ns, robot_last_due_ns, now_ns)
+            for robot_delay_ns, robot_last_due_ns in zip(
+                robot_delays_ns, self._last_due_ns, strict=True
+            )
         ]
-        for due_ns in sorted(set(self._last_ns)):
-            due_now = np.array(self._last_ns) == due_ns
-            partial_command = replace(command, due_ns=due_ns, reached=command.reached & due_now)
+        for due_ns in sorted(set(self._last_due_ns)):
+            is_due = np.array(self._last_due_ns) == due_ns
+            partial_command = replace(command, due_ns=due_ns, reached=command.reached & is_due)
             insort(self._in_flight, partial_command, key=lambda queued: queued.due_ns)
 
 
 class Watchdogs:
-    """Timers that stop each of N robots that has received no command for `timeout_s`.
+    """Timers that stop each of N robots if it receives no command for `timeout_s`.
 
-    `timeout_s` is inf if robots have no watchdogs. After a stop, the robot's watchdog is inactive
-    until its next command.
+    After a stop, a robot's watchdog is inactive until the robot's next command.
+
+    Args:
+        n_robots: Number of robots.
+        timeout_s: Time without a command after which a robot stops [s]. inf if the robots have no
+            watchdogs.
     """
 
-    def __init__(self, robots: int, timeout_s: float) -> None:
+    def __init__(self, n_robots: int, timeout_s: float) -> None:
         self._timeout_s = timeout_s
-        self._expire_ns = [NEVER_NS] * robots
-        self.next_ns = NEVER_NS
-        """The time when the next watchdog expires [ns]. NEVER if none is active."""
+        self._expiry_times_ns = [NEVER_NS] * n_robots
+        self.next_expiry_ns = NEVER_NS
+        """The time at which the next watchdog expires [ns]. NEVER_NS if no watchdog is active."""
 
     def restart(self, command: DelayedCommand) -> None:
         """Restart the watchdogs of the robots on which a command acts now.
@@ -88,16 +95,16 @@ class Watchdogs:
         if self._timeout_s == math.inf:
             return
         if isinstance(command.action, Stop):
-            expires_ns = NEVER_NS
+            expiry_ns = NEVER_NS
         else:
-            expires_ns = command.due_ns + round(self._timeout_s * SECOND)
+            expiry_ns = command.due_ns + round(self._timeout_s * SECOND)
         for i, reached in enumerate(command.reached.tolist()):
             if reached:
-                self._expire_ns[i] = expires_ns
-        self.next_ns = min(self._expire_ns)
+                self._expiry_times_ns[i] = expiry_ns
+        self.next_expiry_ns = min(self._expiry_times_ns)
 
-    def stop(self, now_ns: int) -> DelayedCommand:
-        """Return the stop of all robots whose timer expires at this time."""
-        expired = np.array(self._expire_ns) == now_ns
-        standstill = np.zeros((2, expired.size))
-        return DelayedCommand(now_ns, now_ns, Stop(), expired, wheels=standstill)
+    def stop_expired(self, now_ns: int) -> DelayedCommand:
+        """Create a stop for all robots whose watchdog expires at `now_ns`."""
+        has_expired = np.array(self._expiry_times_ns) == now_ns
+        zero_speeds = np.zeros((2, has_expired.size))
+        return DelayedCommand(now_ns, now_ns, Stop(), has_expired, wheels=zero_speeds)

@@ -17,7 +17,7 @@ from tetractl.plant.sim_section import SimSection
 from tetractl.plant.wheel_host import SimHost
 from tetractl.spec.disturbance import DelayedCommand
 
-REST = 1e-10
+STANDSTILL_FRACTION = 1e-10
 """Speed below which wheels count as standing still, as a fraction of the fastest robot's speed."""
 
 
@@ -36,7 +36,7 @@ class WheelDrive(WheeledRobots):
         seed: Seed of all random numbers.
     """
 
-    sampled = True
+    is_integrated = True
 
     def __init__(
         self,
@@ -55,21 +55,23 @@ class WheelDrive(WheeledRobots):
         random = generator(seed, RandomStream.BODIES)
         host = SimHost(wheels, setup, random)
         radii = setup.wheel_radius * (1 + wheels.radius_error * random.uniform(-1, 1, a.size))
-        super().__init__(starts, radii, wheels.lag, REST * float(setup.speed.max(initial=0.0)))
+        super().__init__(
+            starts, radii, wheels.lag, STANDSTILL_FRACTION * float(setup.speed.max(initial=0.0))
+        )
         self.roll = roll
         self.host = host
         self.gains = host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
-        self.rest_s = wheels.lag * -elementary.log(REST) + 1 / section.truth_rate
+        self.stopping_s = wheels.lag * -elementary.log(STANDSTILL_FRACTION) + 1 / section.truth_rate
         """Time from a stop until all wheels count as standing still [s]."""
         self._setup = setup
-        self._walk_rad = section.heading_noise / np.sqrt(section.truth_rate)
+        self._heading_walk_rad = section.heading_noise / np.sqrt(section.truth_rate)
         """Standard deviation of the headings' random walk from one sample to the next [rad]."""
-        self._walking = generator(seed, RandomStream.HEADINGS)
+        self._walk_random = generator(seed, RandomStream.HEADINGS)
         self.vary(a, speed)
 
     @property
     def commanded(self) -> Floats:
-        """1 for each robot that moves after its last command, 0 for the others, shape (N,)."""
+        """1 for each robot whose last command makes it move, 0 for the others, shape (N,)."""
         return np.where(self.targets.any(axis=0), 1.0, 0.0)
 
     @property
@@ -82,28 +84,32 @@ class WheelDrive(WheeledRobots):
 
         A robot with a = 0 and speed 0 counts as standing still.
         """
-        spec = self._setup
-        speed_factors = np.divide(speed, spec.speed, out=np.ones(speed.size), where=spec.speed > 0)
-        self.scale(a / spec.a, speed_factors)
-        self._able = (a > 0) | (speed > 0)
-        self._note_moving()
+        setup = self._setup
+        speed_factors = np.divide(
+            speed, setup.speed, out=np.ones(speed.size), where=setup.speed > 0
+        )
+        self.scale(a / setup.a, speed_factors)
+        self._is_able = (a > 0) | (speed > 0)
+        self._store_moving()
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
         """Move the robots, and return x, y and heading (M, 3, N); see `Drive.advance`."""
-        swerves = NOTHING
-        if self._walk_rad > 0:
-            swerves = self._walking.standard_normal((np.count_nonzero(samples), self._able.size))
-        return self.drive(since_ns, times_ns, samples, self._walk_rad, swerves)
+        walk_deviates = NOTHING
+        if self._heading_walk_rad > 0:
+            walk_deviates = self._walk_random.standard_normal(
+                (np.count_nonzero(samples), self._is_able.size)
+            )
+        return self.drive(since_ns, times_ns, samples, self._heading_walk_rad, walk_deviates)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the wheels of the robots that received it."""
         assert command.wheels is not None, "the command must have wheel speeds"
         np.copyto(self.targets, command.wheels, where=command.reached)
-        self._note_moving()
+        self._store_moving()
 
-    def _note_moving(self) -> None:
-        """Store which robots move in the robots' `body`, where `roll` reads it.
+    def _store_moving(self) -> None:
+        """Store which robots move, for the compiled function `roll` that advances them.
 
-        A robot moves while it is commanded to and is able to drive or turn.
+        A robot moves while it is commanded to move and is able to drive or turn.
         """
-        self.body[MOVING] = self.commanded * self._able
+        self.body[MOVING] = self.commanded * self._is_able

@@ -82,7 +82,7 @@ def test_an_action_is_held_until_the_next_one():
     actions = [host.send(0, frame(), action).action for action in (None, Steer(0.3), None, Turn(1))]
     assert actions == [FieldOff(), Steer(0.3), Steer(0.3), Turn(1)]
     assert [command.action for command in transit.sent] == actions
-    assert host.repeats_ns == NEVER_NS
+    assert host.next_repeat_ns == NEVER_NS
 
 
 def test_one_stop_is_enough_where_none_can_be_lost():

@@ -40,29 +40,29 @@ class Late(Disturbance):
 
 def test_without_disturbances_frames_arrive_at_once_and_show_the_truth():
     sim_camera = camera()
-    assert (sim_camera.newest, sim_camera.arriving_ns) == (None, None)
+    assert (sim_camera.newest, sim_camera.next_arrival_ns) == (None, None)
     expose(sim_camera, 0, 10)
     assert sim_camera.newest is None, "it is on its way until the host receives it"
-    assert sim_camera.arriving_ns == 0
+    assert sim_camera.next_arrival_ns == 0
     sim_camera.receive(9 * MS)
     assert sim_camera.newest.frame == 0
-    assert sim_camera.arriving_ns == 10 * MS
+    assert sim_camera.next_arrival_ns == 10 * MS
     sim_camera.receive(10 * MS)
-    assert (sim_camera.newest.frame, sim_camera.arriving_ns) == (1, None)
-    samples = sim_camera.samples()
+    assert (sim_camera.newest.frame, sim_camera.next_arrival_ns) == (1, None)
+    samples = sim_camera.take_samples()
     assert [sample.observation.sampled_ns for sample in samples] == [0, 10 * MS]
     assert [sample.observation.received_ns for sample in samples] == [0, 10 * MS]
     assert all(sample.observation.valid.all() for sample in samples)
     assert [sample.truth.x.tolist() for sample in samples] == [[0, 0], [10, 10]]
     assert samples[1].observation.poses.heading.tolist() == [10, 10]
-    assert sim_camera.samples() == [], "each frame is read once"
+    assert sim_camera.take_samples() == [], "each frame is read once"
 
 
 def test_noise_has_the_deviations_of_the_spec_and_the_truth_has_none():
     sim_camera = camera(position=2.0, heading=0.1)
     expose(sim_camera, *range(3000))
     sim_camera.receive(NEVER_NS)
-    samples = sim_camera.samples()
+    samples = sim_camera.take_samples()
     measured = np.array([sample.observation.poses.array() for sample in samples])
     truth = np.array([sample.truth.array() for sample in samples])
     assert (truth == np.arange(3000)[:, None, None]).all()
@@ -85,16 +85,16 @@ def test_a_lost_frame_never_arrives_but_has_a_number():
     sim_camera = camera(Late({20: None}))
     expose(sim_camera, 10, 20, 30)
     sim_camera.receive(NEVER_NS)
-    assert [sample.observation.frame for sample in sim_camera.samples()] == [0, 2]
+    assert [sample.observation.frame for sample in sim_camera.take_samples()] == [0, 2]
 
 
 def test_a_frame_that_would_overtake_another_arrives_together_with_it():
     sim_camera = camera(Late({10: 50, 20: 5}), Late({20: 5}))
     expose(sim_camera, 10, 20, 70)
     sim_camera.receive(59 * MS)
-    assert sim_camera.samples() == []
+    assert sim_camera.take_samples() == []
     sim_camera.receive(NEVER_NS)
-    arrivals = [sample.observation.received_ns // MS for sample in sim_camera.samples()]
+    arrivals = [sample.observation.received_ns // MS for sample in sim_camera.take_samples()]
     assert arrivals == [60, 60, 70]
 
 
@@ -103,7 +103,7 @@ def test_the_frame_at_the_start_arrives_at_once_whatever_disturbs_the_camera():
     expose(sim_camera, 0, 10)
     sim_camera.receive(0)
     assert sim_camera.newest.frame == 0
-    assert sim_camera.arriving_ns == 60 * MS
+    assert sim_camera.next_arrival_ns == 60 * MS
     lossy = camera(Late({0: None}))
     expose(lossy, 0)
     lossy.receive(0)
@@ -140,7 +140,7 @@ def test_a_lost_robot_keeps_the_pose_of_the_last_frame_that_arrived():
     expose(sim_camera, 10, 20, 30)
     expose(sim_camera, 40, 50)
     sim_camera.receive(NEVER_NS)
-    frames = [sample.observation for sample in sim_camera.samples()]
+    frames = [sample.observation for sample in sim_camera.take_samples()]
     shown = [frame.poses.x.tolist() for frame in frames]
     assert shown == [[10, 10], [10, 30], [10, 40], [50, 50]]
     assert [frame.valid.tolist() for frame in frames] == [

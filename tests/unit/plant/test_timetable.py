@@ -33,14 +33,14 @@ def test_every_frame_and_sample_is_due_once_in_order_however_the_times_are_taken
     frames, samples, until_ns = [], [], 0
     for step_ns, with_end in steps:
         until_ns += step_ns
-        due = table.take(until_ns, with_end)
+        due = table.take_until(until_ns, with_end)
         assert (np.diff(due.times_ns) > 0).all()
         if with_end and due.times_ns.size:
             assert due.times_ns[-1] == until_ns
-        bare = due.times_ns[~(due.frames | due.samples)]
+        bare = due.times_ns[~(due.has_frame | due.has_sample)]
         assert bare.size == 0 or (with_end and bare.tolist() == [until_ns])
-        frames += due.times_ns[due.frames].tolist()
-        samples += due.times_ns[due.samples].tolist()
+        frames += due.times_ns[due.has_frame].tolist()
+        samples += due.times_ns[due.has_sample].tolist()
     # the last bit of a rate that is no whole number may round a time to its neighbour
     assert np.abs(np.subtract(frames, multiples(camera_hz, until_ns))).max() <= 1
     assert np.abs(np.subtract(samples, multiples(truth_hz, until_ns))).max() <= 1
@@ -48,35 +48,37 @@ def test_every_frame_and_sample_is_due_once_in_order_however_the_times_are_taken
 
 def test_the_end_is_taken_even_if_nothing_is_due_then():
     table = Timetable(10.0, 10.0)
-    due = table.take(SECOND // 20, with_end=True)
+    due = table.take_until(SECOND // 20, with_end=True)
     assert due.times_ns.tolist() == [0, SECOND // 20]
-    assert due.frames.tolist() == due.samples.tolist() == [True, False]
-    assert table.take(SECOND // 15, with_end=True).times_ns.tolist() == [SECOND // 15]
-    assert table.take(SECOND // 10, with_end=False).frames.tolist() == [True]
+    assert due.has_frame.tolist() == due.has_sample.tolist() == [True, False]
+    assert table.take_until(SECOND // 15, with_end=True).times_ns.tolist() == [SECOND // 15]
+    assert table.take_until(SECOND // 10, with_end=False).has_frame.tolist() == [True]
 
 
 def test_an_end_at_which_a_frame_is_due_is_that_frame():
-    due = Timetable(10.0, 10.0).take(SECOND // 10, with_end=True)
+    due = Timetable(10.0, 10.0).take_until(SECOND // 10, with_end=True)
     assert due.times_ns.tolist() == [0, SECOND // 10]
-    assert due.frames.all() and due.samples.all()
+    assert due.has_frame.all() and due.has_sample.all()
 
 
 @pytest.mark.parametrize("with_end", [False, True])
 def test_the_next_times_are_the_first_that_were_not_taken(with_end):
     table = Timetable(10.0, 40.0)
     assert (table.next_ns, table.next_frame_ns) == (0, 0)
-    table.take(0, with_end)
+    table.take_until(0, with_end)
     assert (table.next_ns, table.next_frame_ns) == (SECOND // 40, SECOND // 10)
-    table.take(SECOND // 10 - 1, with_end)
+    table.take_until(SECOND // 10 - 1, with_end)
     assert (table.next_ns, table.next_frame_ns) == (SECOND // 10, SECOND // 10)
-    table.take(SECOND // 10, with_end)
+    table.take_until(SECOND // 10, with_end)
     assert (table.next_ns, table.next_frame_ns) == (SECOND // 8, SECOND // 5)
 
 
 def test_a_trial_of_many_minutes_keeps_its_times():
     """The table is laid out in blocks of a few seconds."""
     table = Timetable(1.0, 1.0)
-    times_ns = np.concatenate([table.take(k * SECOND // 2, False).times_ns for k in range(1200)])
+    times_ns = np.concatenate(
+        [table.take_until(k * SECOND // 2, False).times_ns for k in range(1200)]
+    )
     assert times_ns.tolist() == [k * SECOND for k in range(600)]
 
 
@@ -87,5 +89,5 @@ def test_a_part_is_a_copy_of_its_rows():
     part.times_ns[0] = 7
     assert due.times_ns.tolist() == [1, 2, 3]
     assert part.times_ns.tolist() == [7, 3]
-    assert part.frames.tolist() == [False, True]
-    assert part.samples.tolist() == [True, False]
+    assert part.has_frame.tolist() == [False, True]
+    assert part.has_sample.tolist() == [True, False]

@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Poses
-from tetractl.plant.true_motion import UNCHECKED_MAX, MotionDisturbances
+from tetractl.plant.true_motion import UNCHECKED_PARTS_MAX, MotionDisturbances
 from tetractl.spec.disturbance import Disturbance
 
 A = np.array([2.0, 3.0])
@@ -55,7 +55,7 @@ def test_disturbances_are_told_how_long_ago_they_last_moved_the_robots_and_act_o
     drive = still_drive()
     disturbances = MotionDisturbances([carries], A, SPEED)
     for now_s in (0.0, 0.5, 0.5, 2.0):
-        disturbances.act(drive, round(now_s * SECOND))
+        disturbances.apply(drive, round(now_s * SECOND))
     moving = [1.0, 0.0]
     assert carries.told == [(moving, 0.0, 0.0), (moving, 0.5, 0.5), (moving, 1.5, 2.0)]
     assert drive.poses.x.tolist() == [20, 20]
@@ -66,10 +66,10 @@ def test_disturbances_are_told_how_long_ago_they_last_moved_the_robots_and_act_o
 def test_rates_vary_from_those_of_the_spec_each_time_and_through_all_disturbances():
     drive = still_drive()
     disturbances = MotionDisturbances([Holds(), Holds()], A, SPEED)
-    disturbances.act(drive, 0)
-    disturbances.act(drive, SECOND // 2)
+    disturbances.apply(drive, 0)
+    disturbances.apply(drive, SECOND // 2)
     assert drive.given == [([2.0, 0.75], [100.0, 12.5])] * 2
-    disturbances.act(drive, SECOND)
+    disturbances.apply(drive, SECOND)
     assert drive.given[-1] == ([0.0, 0.75], [0.0, 12.5])
     assert [rates.tolist() for rates in disturbances.rates] == [[0.0, 0.75], [0.0, 12.5]]
 
@@ -79,7 +79,7 @@ def test_a_robot_counts_as_moving_for_the_disturbance_that_holds_it_and_not_for_
     drive = still_drive(moving=(0.0, 0.0), commanded=(1.0, 1.0))
     disturbances = MotionDisturbances([holds, other], A, SPEED)
     for k in range(3):
-        disturbances.act(drive, k * SECOND)
+        disturbances.apply(drive, k * SECOND)
     assert [moving for moving, *_ in holds.told] == [[0, 0], [0, 0], [1, 0]]
     assert [moving for moving, *_ in other.told] == [[0, 0]] * 3
 
@@ -89,7 +89,7 @@ def test_a_robot_that_an_earlier_disturbance_holds_is_not_held_by_a_later_one():
     drive = still_drive(moving=(0.0, 1.0), commanded=(1.0, 1.0))
     disturbances = MotionDisturbances([first, second], A, SPEED)
     for k in (1, 2):
-        disturbances.act(drive, k * SECOND)
+        disturbances.apply(drive, k * SECOND)
     assert first.told[-1][0] == [1, 1]
     assert second.told[-1][0] == [0, 1]
 
@@ -99,7 +99,7 @@ def test_a_robot_that_an_earlier_disturbance_holds_is_not_held_by_a_later_one():
     [([], False), ([Disturbance()], False), ([Carries()], True), ([Disturbance(), Holds()], True)],
 )
 def test_only_disturbances_that_move_or_vary_count(disturbances, has_any):
-    assert MotionDisturbances(disturbances, A, SPEED).any is has_any
+    assert MotionDisturbances(disturbances, A, SPEED).has_effect is has_any
 
 
 def plant(*disturbances, seed=3, wheels=None, obstacles=(), **fields):
@@ -180,7 +180,7 @@ def test_a_disturbance_that_returns_poses_of_fewer_robots_is_refused():
         plant(Loses()).open()
 
 
-@pytest.mark.parametrize("parts", [3, UNCHECKED_MAX + 50])
+@pytest.mark.parametrize("parts", [3, UNCHECKED_PARTS_MAX + 50])
 def test_the_whole_path_is_checked_however_many_parts_it_has(parts):
     """Both robots pass the obstacle, from 30 to 35 mm ahead of them, in the first second."""
     wall = {"type": "rectangle", "left": 930, "bottom": 700, "width": 5, "height": 300}

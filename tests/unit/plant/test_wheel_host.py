@@ -11,7 +11,7 @@ from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Observation, Poses
 from tetractl.model.wheels import COUNT_MAX, body_velocity
 from tetractl.plant.sim_section import WheelDriveSection
-from tetractl.plant.wheel_host import SimHost, true_trains
+from tetractl.plant.wheel_host import SimHost, sample_drivetrains
 
 RADIUS = 40.0
 SETUP = experiment(wheels={"radius": RADIUS}).setup
@@ -116,32 +116,34 @@ def test_a_stop_is_known_when_the_next_headings_are_predicted():
 def test_a_host_without_a_rate_never_repeats_and_one_with_a_rate_does_until_a_stop():
     silent = host()
     silent.transmit(0, Steer(1.2), True, frame())
-    assert silent.repeats_ns == NEVER_NS
+    assert silent.next_repeat_ns == NEVER_NS
     repeating = host(rate=50.0)
-    assert repeating.repeats_ns == NEVER_NS
+    assert repeating.next_repeat_ns == NEVER_NS
     repeating.transmit(SECOND, Steer(1.2), True, frame())
-    assert repeating.repeats_ns == SECOND + SECOND // 100, "half a period at least"
+    assert repeating.next_repeat_ns == SECOND + SECOND // 100, "half a period at least"
     for k in range(3):
-        repeating.transmit(repeating.repeats_ns, Steer(1.2), False, frame())
-        assert repeating.repeats_ns == SECOND + SECOND // 100 + (k + 1) * SECOND // 50
+        repeating.transmit(repeating.next_repeat_ns, Steer(1.2), False, frame())
+        assert repeating.next_repeat_ns == SECOND + SECOND // 100 + (k + 1) * SECOND // 50
     repeating.halt(2 * SECOND)
-    assert repeating.repeats_ns == NEVER_NS
+    assert repeating.next_repeat_ns == NEVER_NS
 
 
 def test_wheels_without_errors_are_as_the_host_knows_them():
-    trains = true_trains(WheelDriveSection(count=2.5, dead_zone=7), 4, np.random.default_rng(1))
+    trains = sample_drivetrains(
+        WheelDriveSection(count=2.5, dead_zone=7), 4, np.random.default_rng(1)
+    )
     assert trains.gain.tolist() == trains.true_gain.tolist() == [[2.5] * 4] * 2
     assert trains.dead_zone.tolist() == trains.true_dead_zone.tolist() == [[7] * 4] * 2
     assert trains.limit.tolist() == [COUNT_MAX] * 4
     assert not trains.owed.any()
-    smooth = true_trains(WheelDriveSection(), 4, np.random.default_rng(1))
+    smooth = sample_drivetrains(WheelDriveSection(), 4, np.random.default_rng(1))
     assert smooth.limit.tolist() == [0] * 4
     assert smooth.gain.tolist() == smooth.true_gain.tolist() == [[1.0] * 4] * 2
 
 
 def test_errors_of_wheels_are_uniform_within_their_bounds_and_dead_zones_not_negative():
     section = WheelDriveSection(count=2.0, gain_error=0.1, dead_zone=5, dead_zone_error=8)
-    trains = true_trains(section, 4000, np.random.default_rng(1))
+    trains = sample_drivetrains(section, 4000, np.random.default_rng(1))
     factors = trains.true_gain / trains.gain
     assert factors.min() == pytest.approx(0.9, abs=0.001)
     assert factors.max() == pytest.approx(1.1, abs=0.001)
@@ -153,7 +155,7 @@ def test_errors_of_wheels_are_uniform_within_their_bounds_and_dead_zones_not_neg
 
 def test_a_robots_gain_is_the_mean_of_its_wheels():
     computing = host(gain_error=0.2)
-    ratio = computing.trains.true_gain / computing.trains.gain
+    ratio = computing.drivetrains.true_gain / computing.drivetrains.gain
     assert computing.gains == pytest.approx((ratio[0] + ratio[1]) / 2)
     known, true = computing.transmit(0, FieldOff(), True, frame())
     assert motion(true)[0] / motion(known)[0] == pytest.approx(computing.gains)

@@ -11,16 +11,16 @@ from pydantic import Field
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.plant.disturbances.spells import ByTurns, Spells, SpellsSection
+from tetractl.plant.disturbances.spells import ActiveIntervals, AlternatingStates, IntervalsSection
 from tetractl.spec.base import Fraction, NonNegativeAngle, Positive
 from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
-DEVIATIONS_MAX = 4.0
-"""Maximum deviation of a frame's latency from the mean, in standard deviations."""
+LATENCY_DEVIATIONS_MAX = 4.0
+"""Maximum deviation of a frame's latency from the mean latency [standard deviations]."""
 
 
 class TrackingLossSection(DisturbanceSection):
-    """A disturbance of the camera: it sometimes loses a robot, each independently of the others."""
+    """A disturbance: the camera sometimes loses track of a robot, independently of the others."""
 
     type: Literal["tracking-loss"]
     every: Positive
@@ -34,30 +34,32 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """A disturbance by which the camera sometimes loses track of each robot.
+    """A disturbance that makes the camera lose track of each robot at random times.
 
-    At first, all robots are tracked.
+    All robots are tracked at the start of a trial.
 
     Args:
         section: The fields of the disturbance in the spec.
-        robots: Number of robots.
+        n_robots: Number of robots.
         rng: Generator of the random times.
     """
 
-    def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
-        self._tracked = ByTurns(
-            robots,
+    def __init__(
+        self, section: TrackingLossSection, n_robots: int, rng: np.random.Generator
+    ) -> None:
+        self._tracking = AlternatingStates(
+            n_robots,
             lambda: rng.exponential(section.every),
             lambda: rng.exponential(section.duration),
         )
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses unchanged, and which robots are tracked; see `Disturbance.measured`."""
-        return poses, valid & self._tracked.well(time_s)
+        """Mark lost robots as untracked; see `Disturbance.measured`."""
+        return poses, valid & self._tracking.advance(time_s)
 
 
 class CameraLatencySection(DisturbanceSection):
-    """A disturbance of the camera: every frame reaches the host after a random latency."""
+    """A disturbance: every camera frame reaches the host after a random latency."""
 
     type: Literal["camera-latency"]
     mean: float = Field(ge=0, le=10, allow_inf_nan=False)
@@ -90,19 +92,19 @@ class CameraLatency(Disturbance):
         A frame never arrives before its exposure.
         """
         section = self._section
-        deviations = self._rng.standard_normal()
-        if abs(deviations) > DEVIATIONS_MAX:
-            deviations = math.copysign(DEVIATIONS_MAX, deviations)
-        latency_s = section.mean + section.deviation * deviations
+        n_deviations = self._rng.standard_normal()
+        if abs(n_deviations) > LATENCY_DEVIATIONS_MAX:
+            n_deviations = math.copysign(LATENCY_DEVIATIONS_MAX, n_deviations)
+        latency_s = section.mean + section.deviation * n_deviations
         if self._rng.random() < section.late_share:
             latency_s += section.late_by * self._rng.random()
         return received_ns + round(max(latency_s, 0.0) * SECOND)
 
 
 class FrameLossSection(DisturbanceSection):
-    """A disturbance of the camera: frames are lost in bursts of random length.
+    """A disturbance: camera frames are lost in bursts of random length.
 
-    The length is geometrically distributed (Gilbert's model).
+    The length of a burst is geometrically distributed (Gilbert's model).
     """
 
     type: Literal["frame-loss"]
@@ -122,39 +124,39 @@ class FrameLossSection(DisturbanceSection):
 
 
 class FrameLoss(Disturbance):
-    """A disturbance that loses frames. A Markov chain changes between received and lost.
+    """A disturbance that loses camera frames. A Markov chain decides which frames are lost.
 
-    The first frame is not lost. A burst with the mean length b ends with the probability 1 / b. The
-    probability that a burst begins is such that the fraction `share` of the frames is lost in the
-    long run.
+    The first frame is not lost. While frames are lost, the burst ends with the probability 1 / b at
+    each frame, where b is the mean length of a burst. The probability that a burst starts is chosen
+    such that the fraction `share` of all frames is lost in the long run.
     """
 
     def __init__(self, section: FrameLossSection, rng: np.random.Generator) -> None:
-        self._burst_begins = section.share / (1 - section.share) / section.burst
-        self._burst_ends = 1 / section.burst
+        self._burst_start_probability = section.share / (1 - section.share) / section.burst
+        self._burst_end_probability = 1 / section.burst
         self._rng = rng
-        self._losing = False  # whether the next frame is lost
+        self._is_next_lost = False
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
         """Decide by chance whether a frame is lost.
 
         The result is None for a lost frame, and otherwise the unchanged time of arrival [ns].
         """
-        lost = self._losing
+        is_lost = self._is_next_lost
         chance = self._rng.random()
-        if lost:
-            self._losing = chance >= self._burst_ends
+        if is_lost:
+            self._is_next_lost = chance >= self._burst_end_probability
         else:
-            self._losing = chance < self._burst_begins
-        return None if lost else received_ns
+            self._is_next_lost = chance < self._burst_start_probability
+        return None if is_lost else received_ns
 
 
-class FrozenCameraSection(SpellsSection):
-    """A disturbance of the camera: in some intervals, all frames are lost or repeat the last."""
+class FrozenCameraSection(IntervalsSection):
+    """A disturbance: during some intervals, camera frames are lost, or all show the same poses."""
 
     type: Literal["frozen-camera"]
     repeats: bool = True
-    """Whether new frames show the last poses before the interval; otherwise no frame arrives."""
+    """Whether frames repeat the last poses before the interval. If not, no frame arrives."""
 
     @property
     def loses_frames(self) -> bool:
@@ -167,30 +169,33 @@ class FrozenCameraSection(SpellsSection):
 
 
 class FrozenCamera(Disturbance):
-    """A disturbance that repeats the last frame, or loses all frames, during some intervals."""
+    """A disturbance that repeats the last frame or loses all frames during some intervals."""
 
-    def __init__(self, repeats: bool, spells: Spells) -> None:
+    def __init__(self, repeats: bool, intervals: ActiveIntervals) -> None:
         self._repeats = repeats
-        self._spells = spells
-        self._last: tuple[Poses, Bools] | None = None  # measurement before the interval
+        self._intervals = intervals
+        self._last_measurement: tuple[Poses, Bools] | None = None  # measurement before the interval
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses or, in an interval, those before it; see `Disturbance.measured`."""
-        frozen = self._repeats and self._spells.include(time_s)
-        if self._last is None or not frozen:
-            self._last = (poses, valid)
-        return self._last
+        """Replace the poses by the poses before the interval; see `Disturbance.measured`.
+
+        Outside the intervals, the poses stay unchanged.
+        """
+        is_frozen = self._repeats and self._intervals.include(time_s)
+        if self._last_measurement is None or not is_frozen:
+            self._last_measurement = (poses, valid)
+        return self._last_measurement
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the unchanged time of arrival. None for a frame lost in an interval."""
-        lost = not self._repeats and self._spells.include(exposed_ns / SECOND)
-        return None if lost else received_ns
+        """Return the unchanged time of arrival [ns], or None if the frame is lost."""
+        is_lost = not self._repeats and self._intervals.include(exposed_ns / SECOND)
+        return None if is_lost else received_ns
 
 
 class MarkerOffSection(DisturbanceSection):
-    """A disturbance of the camera: each robot's measured heading has a constant offset.
+    """A disturbance: the camera measures each robot's heading with a constant offset.
 
-    Its sign is random, and sampled once per trial.
+    The sign of each robot's offset is sampled once per trial.
     """
 
     type: Literal["marker-off"]
@@ -203,24 +208,28 @@ class MarkerOffSection(DisturbanceSection):
 
 
 class MarkerOff(Disturbance):
-    """A disturbance that adds an offset (N,) [rad] to each robot's measured heading."""
+    """A disturbance that adds a constant offset to each robot's measured heading.
 
-    def __init__(self, offsets: Floats) -> None:
-        self.offsets = offsets
+    Args:
+        offsets_rad: Offsets of the measured headings [rad], shape (N,).
+    """
+
+    def __init__(self, offsets_rad: Floats) -> None:
+        self.offsets_rad = offsets_rad
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses with the offsets added to the headings; see `Disturbance.measured`."""
-        return Poses(poses.x, poses.y, poses.heading + self.offsets), valid
+        """Add the offsets to the measured headings; see `Disturbance.measured`."""
+        return Poses(poses.x, poses.y, poses.heading + self.offsets_rad), valid
 
 
-class StaleCameraSection(SpellsSection):
-    """A disturbance of the camera: in some intervals, the frames show old poses."""
+class StaleCameraSection(IntervalsSection):
+    """A disturbance: during some intervals, camera frames show old poses."""
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """Age of the poses shown [s].
+    """Age of the poses that a frame shows [s].
 
-    Before this time of the trial, frames show the first poses.
+    While the trial is younger than this, frames show the first poses of the trial.
     """
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
@@ -244,18 +253,28 @@ class Measurement:
 
 
 class StaleCamera(Disturbance):
-    """A disturbance that shows the poses of `age_s` [s] earlier during some intervals."""
+    """A disturbance that makes camera frames show old poses during some intervals.
 
-    def __init__(self, age_s: float, spells: Spells) -> None:
+    Args:
+        age_s: Age of the poses that a frame shows [s].
+        intervals: The intervals in which the disturbance acts.
+    """
+
+    def __init__(self, age_s: float, intervals: ActiveIntervals) -> None:
         self._age_s = age_s
-        self._spells = spells
-        self._recent: deque[Measurement] = deque()  # those of the last `age_s` and one before
+        self._intervals = intervals
+        self._recent_measurements: deque[Measurement] = (
+            deque()
+        )  # those of the last `age_s` and one before
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses or, during an interval, earlier poses; see `Disturbance.measured`."""
-        self._recent.append(Measurement(time_s, poses, valid))
-        while len(self._recent) > 1 and self._recent[1].time_s <= time_s - self._age_s:
-            self._recent.popleft()
-        if not self._spells.include(time_s):
+        """Replace the poses by earlier poses during the intervals; see `Disturbance.measured`."""
+        self._recent_measurements.append(Measurement(time_s, poses, valid))
+        while (
+            len(self._recent_measurements) > 1
+            and self._recent_measurements[1].time_s <= time_s - self._age_s
+        ):
+            self._recent_measurements.popleft()
+        if not self._intervals.include(time_s):
             return poses, valid
-        return self._recent[0].poses, self._recent[0].valid
+        return self._recent_measurements[0].poses, self._recent_measurements[0].valid

@@ -8,13 +8,13 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Setup
-from tetractl.plant.disturbances.spells import Spells, SpellsSection
+from tetractl.plant.disturbances.spells import ActiveIntervals, IntervalsSection
 from tetractl.spec.base import Fraction
 from tetractl.spec.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 
 
 class RadioSection(DisturbanceSection):
-    """A disturbance: commands by radio are delayed, and lost at random for each robot."""
+    """A disturbance: the radio delays commands, and each robot misses some of them at random."""
 
     type: Literal["radio"]
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -24,7 +24,7 @@ class RadioSection(DisturbanceSection):
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Maximum additional delay of a robot [s].
 
-    It is uniformly distributed and sampled for each robot once per trial.
+    Each robot's delay is uniformly distributed and sampled once per trial.
     """
     loss: Fraction = 0.0
     """Probability that a robot does not receive a transmission."""
@@ -39,19 +39,21 @@ class Radio(Disturbance):
 
     Args:
         section: The fields of the disturbance in the spec.
-        robots: Number of robots.
+        n_robots: Number of robots.
         rng: Generator of delays and losses.
     """
 
-    def __init__(self, section: RadioSection, robots: int, rng: np.random.Generator) -> None:
+    def __init__(self, section: RadioSection, n_robots: int, rng: np.random.Generator) -> None:
         self._section = section
         self._rng = rng
-        self._late_ns = None  # without a spread, no random number is drawn
+        self._robot_delays_ns = None  # without a spread, no random number is drawn
         if section.spread > 0:
-            self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
+            self._robot_delays_ns = np.rint(section.spread * SECOND * rng.random(n_robots)).astype(
+                np.int64
+            )
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Delay a transmission, and remove the robots that lose it from those that receive it.
+        """Delay a transmission, and decide which robots lose it.
 
         The random delay (`jitter`) is the same for all robots, and new in each transmission. Each
         robot's own delay (`spread`) stays the same for the whole trial. Robots that an earlier
@@ -60,25 +62,24 @@ class Radio(Disturbance):
         section = self._section
         chances = self._rng.random(1 + command.reached.size)  # of the delay, then of each robot
         delay_s = section.delay + section.jitter * float(chances[0])
-        late_ns = command.late_ns
-        if late_ns is None:
-            late_ns = self._late_ns
-        elif self._late_ns is not None:
-            late_ns = late_ns + self._late_ns
+        robot_delays_ns = command.late_ns
+        if robot_delays_ns is None:
+            robot_delays_ns = self._robot_delays_ns
+        elif self._robot_delays_ns is not None:
+            robot_delays_ns = robot_delays_ns + self._robot_delays_ns
         return replace(
             command,
             due_ns=command.due_ns + round(delay_s * SECOND),
             reached=command.reached & (chances[1:] >= section.loss),
-            late_ns=late_ns,
+            late_ns=robot_delays_ns,
         )
 
 
-class SilentRadioSection(SpellsSection):
-    """A disturbance of the radio: in some intervals, no robot receives a command.
+class SilentRadioSection(IntervalsSection):
+    """A disturbance: during some intervals, no robot receives a command.
 
-    Robots then keep following the last command that they received.
-
-    A watchdog (`wheels.watchdog`) may stop them.
+    The robots then keep following the last command that they received, until a watchdog
+    (`wheels.watchdog`) stops them.
     """
 
     type: Literal["silent-radio"]
@@ -91,18 +92,18 @@ class SilentRadioSection(SpellsSection):
 class SilentRadio(Disturbance):
     """A disturbance that loses every command sent during some intervals."""
 
-    def __init__(self, spells: Spells) -> None:
-        self._spells = spells
+    def __init__(self, intervals: ActiveIntervals) -> None:
+        self._intervals = intervals
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return the command, which reaches no robot while the radio is silent."""
-        if not self._spells.include(command.sent_ns / SECOND):
+        """Let the command reach no robot if it is sent while the radio is silent."""
+        if not self._intervals.include(command.sent_ns / SECOND):
             return command
         return replace(command, reached=np.zeros_like(command.reached))
 
 
 class PlanningTimeSection(DisturbanceSection):
-    """A disturbance: planning takes a random time, after which the command is sent."""
+    """A disturbance: planning takes a random time, and delays the command by this time."""
 
     type: Literal["planning-time"]
     least: float = Field(ge=0, le=10, allow_inf_nan=False)

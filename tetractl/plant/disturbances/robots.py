@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.plant.disturbances.spells import ByTurns
+from tetractl.plant.disturbances.spells import AlternatingStates
 from tetractl.spec.base import Fraction, NonNegative, NonNegativeAngle, Positive
 from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
@@ -29,21 +29,24 @@ class BatterySection(DisturbanceSection):
 
 
 class Battery(Disturbance):
-    """A disturbance that reduces turning rate a and speed by fractions that grow with time."""
+    """A disturbance that reduces turning rates a and speeds by fractions that grow with time."""
 
     def __init__(self, section: BatterySection) -> None:
         self._section = section
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Reduce turning rate and speed by the fractions lost; see `Disturbance.varied`."""
-        used = min(1.0, time_s / self._section.over)
-        return a * (1 - self._section.a * used), speed * (1 - self._section.speed * used)
+        """Reduce turning rates and speeds; see `Disturbance.varied`."""
+        elapsed_fraction = min(1.0, time_s / self._section.over)
+        return a * (1 - self._section.a * elapsed_fraction), speed * (
+            1 - self._section.speed * elapsed_fraction
+        )
 
 
 class HeadingDriftSection(DisturbanceSection):
-    """A disturbance: each robot turns at a constant rate, in addition to the paper's (3).
+    """A disturbance: each robot also turns at a constant rate of its own.
 
-    The cause may be uneven wheels, or a bent cell.
+    This turning is added to the turning by the paper's equation (3). The cause may be uneven
+    wheels, or a bent cell.
     """
 
     type: Literal["heading-drift"]
@@ -59,25 +62,30 @@ class HeadingDriftSection(DisturbanceSection):
 
 
 class HeadingDrift(Disturbance):
-    """A disturbance that turns each moving robot at its own constant rate (N,) [rad/s]."""
+    """A disturbance that turns each moving robot at its own constant rate.
 
-    def __init__(self, rates: Floats) -> None:
-        self._rates = rates
+    Args:
+        rates_rad_s: The turning rates [rad/s], shape (N,).
+    """
+
+    def __init__(self, rates_rad_s: Floats) -> None:
+        self._rates_rad_s = rates_rad_s
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Turn the robots by the drift; see `Disturbance.moved`."""
-        return Poses(poses.x, poses.y, poses.heading + self._rates * moving * seconds)
+        return Poses(poses.x, poses.y, poses.heading + self._rates_rad_s * moving * seconds)
 
 
 class StickingSection(DisturbanceSection):
-    """A disturbance: each robot sometimes sticks, as at a cable or on dust.
+    """A disturbance: each robot sometimes gets stuck, for example at a cable or on dust.
 
-    Each robot does so independently of the others.
+    Each robot gets stuck independently of the others.
     """
 
     type: Literal["sticking"]
     every: Positive
-    """Mean time for which a robot moves before it sticks again [s], exponentially distributed."""
+    """Mean time for which a robot moves before it gets stuck again [s], exponentially distributed.
+    """
     duration: NonNegative = 0.5
     """Time for which a stuck robot neither moves nor turns [s]."""
 
@@ -87,37 +95,37 @@ class StickingSection(DisturbanceSection):
 
 
 class Sticking(Disturbance):
-    """A disturbance by which each robot sometimes gets stuck, independently of the others.
+    """A disturbance that makes each robot stick at random times, independently of the others.
 
     Args:
         section: The fields of the disturbance in the spec.
-        robots: Number of robots.
+        n_robots: Number of robots.
         rng: Generator of the random times.
     """
 
-    def __init__(self, section: StickingSection, robots: int, rng: np.random.Generator) -> None:
-        self._free = ByTurns(
-            robots, lambda: rng.exponential(section.every), lambda: section.duration
+    def __init__(self, section: StickingSection, n_robots: int, rng: np.random.Generator) -> None:
+        self._sticking = AlternatingStates(
+            n_robots, lambda: rng.exponential(section.every), lambda: section.duration
         )
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Set the turning rates and speeds of stuck robots to 0; see `Disturbance.varied`."""
-        free = self._free.well(time_s)
-        return a * free, speed * free
+        is_free = self._sticking.advance(time_s)
+        return a * is_free, speed * is_free
 
 
 class WanderSection(DisturbanceSection):
     """A disturbance: turning rates a and speeds have relative errors that change slowly.
 
-    They are independent for each robot and quantity. Their logarithms are stationary
-    Ornstein-Uhlenbeck processes.
+    The errors of each robot, and of its turning rate and speed, are independent of each other. The
+    logarithm of each error is a stationary Ornstein-Uhlenbeck process.
     """
 
     type: Literal["wander"]
     a: NonNegative = 0.0
-    """Standard deviation of the logarithm of each turning rate a."""
+    """Standard deviation of the logarithm of the error of each turning rate a."""
     speed: NonNegative = 0.0
-    """Standard deviation of the logarithm of each speed."""
+    """Standard deviation of the logarithm of the error of each speed."""
     time: Positive = 5.0
     """Correlation time of the errors [s]."""
 
@@ -129,33 +137,37 @@ class WanderSection(DisturbanceSection):
 class Wander(Disturbance):
     """A disturbance that changes turning rates and speeds slowly and randomly.
 
-    The statistics do not depend on how often it is called.
+    The statistics of the errors do not depend on how often `varied` is called.
 
     Args:
         section: The fields of the disturbance in the spec.
-        robots: Number of robots.
+        n_robots: Number of robots.
         rng: Generator of the random errors.
     """
 
-    def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
-        self._deviations = np.array([[section.a], [section.speed]])
+    def __init__(self, section: WanderSection, n_robots: int, rng: np.random.Generator) -> None:
+        self._log_deviations = np.array([[section.a], [section.speed]])
         self._correlation_s = section.time
         self._rng = rng
-        self._state = rng.standard_normal((2, robots))  # of a and speed, of standard deviation 1
-        self._last_s = 0.0  # the time of this state
+        self._deviates = rng.standard_normal(
+            (2, n_robots)
+        )  # of a and speed, of standard deviation 1
+        self._updated_s = 0.0  # the time of this state
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Apply the present errors to turning rates and speeds; see `Disturbance.varied`."""
-        correlation = elementwise.exp(-(time_s - self._last_s) / self._correlation_s)
-        self._last_s = time_s
-        fresh = self._rng.standard_normal(self._state.shape)
-        self._state = correlation * self._state + np.sqrt(1 - np.square(correlation)) * fresh
-        a_factor, speed_factor = elementwise.exp(self._deviations * self._state)
+        correlation = elementwise.exp(-(time_s - self._updated_s) / self._correlation_s)
+        self._updated_s = time_s
+        new_deviates = self._rng.standard_normal(self._deviates.shape)
+        self._deviates = (
+            correlation * self._deviates + np.sqrt(1 - np.square(correlation)) * new_deviates
+        )
+        a_factor, speed_factor = elementwise.exp(self._log_deviations * self._deviates)
         return a * a_factor, speed * speed_factor
 
 
 class StartErrorSection(DisturbanceSection):
-    """A disturbance: in every trial, each robot starts at a random pose around its start."""
+    """A disturbance: in every trial, each robot starts at a random pose near its start pose."""
 
     type: Literal["start-error"]
     position: NonNegative = 0.0
@@ -176,7 +188,7 @@ class StartError(Disturbance):
         self._rng = rng
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the start poses of the robots with random errors added."""
+        """Add random errors to the start poses; see `Disturbance.placed`."""
         x, y, heading = self._rng.uniform(-1, 1, (3, poses.x.size))
         section = self._section
         return Poses(

@@ -11,10 +11,10 @@ from tetractl.spec.base import NonNegative, Positive
 from tetractl.spec.disturbance import DisturbanceSection
 
 
-class SpellsSection(DisturbanceSection):
+class IntervalsSection(DisturbanceSection):
     """Base class of sections for disturbances that act only in a few random intervals of a trial.
 
-    A subclass defines the disturbance, and calls `draw` for the intervals.
+    A subclass builds its disturbance with the intervals that `draw` returns.
     """
 
     times: Annotated[int, Field(ge=0, le=1000)] = 1
@@ -24,51 +24,59 @@ class SpellsSection(DisturbanceSection):
     between: tuple[NonNegative, NonNegative] = (1.0, 14.0)
     """Earliest and latest start of an interval in the trial, uniformly distributed [s]."""
 
-    def draw(self, rng: np.random.Generator) -> "Spells":
+    def draw(self, rng: np.random.Generator) -> "ActiveIntervals":
         """Sample the intervals of one trial in which the disturbance is active."""
-        return Spells(self, rng)
+        return ActiveIntervals(self, rng)
 
 
-class Spells:
+class ActiveIntervals:
     """The intervals of one trial during which a disturbance acts."""
 
-    def __init__(self, section: SpellsSection, rng: np.random.Generator) -> None:
-        self._begin_s = rng.uniform(*section.between, section.times)
-        self._end_s = self._begin_s + section.duration
+    def __init__(self, section: IntervalsSection, rng: np.random.Generator) -> None:
+        self._starts_s = rng.uniform(*section.between, section.times)
+        self._ends_s = self._starts_s + section.duration
 
     def include(self, time_s: float) -> bool:
-        """Check whether a time since the start of the trial [s] is within one of the intervals."""
-        return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
+        """Check whether a time since the start of the trial [s] lies in one of the intervals."""
+        return bool(((self._starts_s <= time_s) & (time_s < self._ends_s)).any())
 
 
-class ByTurns:
-    """The state of N robots, each of which alternates between undisturbed and disturbed.
+class AlternatingStates:
+    """The states of N robots that alternate independently between undisturbed and disturbed.
 
-    Each robot does so independently of the others. All are undisturbed (well) at first.
+    All robots are undisturbed at first.
 
     Args:
-        robots: Number of robots.
-        well_s: Samples how long a robot is undisturbed [s].
-        unwell_s: Samples how long it is disturbed [s].
+        n_robots: Number of robots.
+        draw_undisturbed_s: Function that samples how long a robot is undisturbed [s].
+        draw_disturbed_s: Function that samples how long a robot is disturbed [s].
     """
 
     def __init__(
-        self, robots: int, well_s: Callable[[], float], unwell_s: Callable[[], float]
+        self,
+        n_robots: int,
+        draw_undisturbed_s: Callable[[], float],
+        draw_disturbed_s: Callable[[], float],
     ) -> None:
-        self._well_s = well_s
-        self._unwell_s = unwell_s
-        self._well = np.ones(robots, dtype=np.bool_)
-        self._until_s = [well_s() for _ in range(robots)]  # when each robot's state changes next
+        self._draw_undisturbed_s = draw_undisturbed_s
+        self._draw_disturbed_s = draw_disturbed_s
+        self._is_undisturbed = np.ones(n_robots, dtype=np.bool_)
+        self._change_times_s = [
+            draw_undisturbed_s() for _ in range(n_robots)
+        ]  # when each robot's state changes next
 
-    def well(self, time_s: float) -> Bools:
-        """Return which robots are undisturbed at a time of the trial [s], shape (N,).
+    def advance(self, time_s: float) -> Bools:
+        """Advance all robots to a time, and return which of them are then undisturbed, shape (N,).
 
-        A call must not have an earlier time than the call before.
+        Args:
+            time_s: Time since the start of the trial [s], not earlier than in the previous call.
         """
-        for i, until_s in enumerate(self._until_s):
-            while until_s <= time_s:
-                self._well[i] = not self._well[i]
-                draw_duration_s = self._well_s if self._well[i] else self._unwell_s
-                until_s += draw_duration_s()
-                self._until_s[i] = until_s
-        return self._well
+        for i, change_s in enumerate(self._change_times_s):
+            while change_s <= time_s:
+                self._is_undisturbed[i] = not self._is_undisturbed[i]
+                draw_duration_s = (
+                    self._draw_undisturbed_s if self._is_undisturbed[i] else self._draw_disturbed_s
+                )
+                change_s += draw_duration_s()
+                self._change_times_s[i] = change_s
+        return self._is_undisturbed

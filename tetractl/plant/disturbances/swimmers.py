@@ -29,7 +29,11 @@ class FlowSection(DisturbanceSection):
 
 
 class Flow(Disturbance):
-    """A disturbance that carries each swimming cell with a flow [length unit/s], shape (2,)."""
+    """A disturbance that carries all swimming cells with a constant flow.
+
+    Args:
+        velocity: Velocity x, y of the flow [length unit/s], shape (2,).
+    """
 
     def __init__(self, velocity: Floats) -> None:
         self.velocity = velocity
@@ -37,14 +41,17 @@ class Flow(Disturbance):
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Move the cells with the flow; see `Disturbance.moved`."""
         moving_s = moving * seconds
-        x_rate, y_rate = self.velocity
-        return Poses(poses.x + x_rate * moving_s, poses.y + y_rate * moving_s, poses.heading)
+        velocity_x, velocity_y = self.velocity
+        return Poses(
+            poses.x + velocity_x * moving_s, poses.y + velocity_y * moving_s, poses.heading
+        )
 
 
 class WobbleSection(DisturbanceSection):
-    """A disturbance: each cell swims on a helix about an axis that the field turns.
+    """A disturbance: each cell swims on a helix, and the field turns the axis of the helix.
 
-    Seen from above, the cell swings across the axis, and its body points along its path.
+    Seen from above, the cell swings from side to side of the axis, and its body points along its
+    path.
     """
 
     type: Literal["wobble"]
@@ -59,35 +66,42 @@ class WobbleSection(DisturbanceSection):
 
 
 class Wobble(Disturbance):
-    """A disturbance that moves cells sideways along their helices.
+    """A disturbance that moves swimming cells sideways, as seen from above, along their helices.
 
-    The true heading is the axis's direction. The camera measures the body's direction.
+    The true heading is the direction of the helix's axis. The camera measures the direction of the
+    cell's body instead.
 
     Args:
         section: The fields of the disturbance in the spec.
-        speed: Speeds of the cells [length unit/s], shape (N,).
-        phase: Phases of the helices at the start [rad], shape (N,).
+        speeds: Speeds of the cells [length unit/s], shape (N,).
+        phases_rad: Phases of the helices at the start [rad], shape (N,).
     """
 
-    def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:
+    def __init__(self, section: WobbleSection, speeds: Floats, phases_rad: Floats) -> None:
         self._radius = section.radius
-        self._rate_rad_s = 2 * np.pi * section.frequency
-        self._speed = speed
-        self._phase = phase
-        self._moving = np.zeros_like(phase)  # which cells swam up to now
+        self._phase_rate_rad_s = 2 * np.pi * section.frequency
+        self._speeds = speeds
+        self._phases_rad = phases_rad
+        self._moving = np.zeros_like(phases_rad)  # 1 for the cells that swam until the last call
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         """Move the swimming cells along their helices; see `Disturbance.moved`."""
-        before = self._phase
+        old_phases_rad = self._phases_rad
         self._moving = moving
-        self._phase = before + self._rate_rad_s * seconds * moving
-        across = self._radius * (elementwise.sin(self._phase) - elementwise.sin(before))
-        x = poses.x - across * elementwise.sin(poses.heading)
-        y = poses.y + across * elementwise.cos(poses.heading)
+        self._phases_rad = old_phases_rad + self._phase_rate_rad_s * seconds * moving
+        left_shift = self._radius * (
+            elementwise.sin(self._phases_rad) - elementwise.sin(old_phases_rad)
+        )
+        x = poses.x - left_shift * elementwise.sin(poses.heading)
+        y = poses.y + left_shift * elementwise.cos(poses.heading)
         return Poses(x, y, poses.heading)
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses with the headings of the bodies; see `Disturbance.measured`."""
-        sideways = self._radius * self._rate_rad_s * elementwise.cos(self._phase) * self._moving
-        tilt = elementwise.atan2(sideways, np.maximum(self._speed, np.finfo(float).tiny))
-        return Poses(poses.x, poses.y, poses.heading + tilt), valid
+        """Replace the headings of the axes by those of the bodies; see `Disturbance.measured`."""
+        sideways_speed = (
+            self._radius * self._phase_rate_rad_s * elementwise.cos(self._phases_rad) * self._moving
+        )
+        body_angle_rad = elementwise.atan2(
+            sideways_speed, np.maximum(self._speeds, np.finfo(float).tiny)
+        )
+        return Poses(poses.x, poses.y, poses.heading + body_angle_rad), valid

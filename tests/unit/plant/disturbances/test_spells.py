@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from tetractl.plant.disturbances.radio import SilentRadioSection
-from tetractl.plant.disturbances.spells import ByTurns
+from tetractl.plant.disturbances.spells import AlternatingStates
 
 
 def section(**fields):
@@ -48,8 +48,8 @@ def test_an_interval_that_cannot_be_is_refused(fields):
 def test_robots_alternate_one_by_one_beginning_undisturbed():
     well_s = iter([1.0, 2.0, 0.5, 100.0])
     unwell_s = iter([0.25, 3.0])
-    robots = ByTurns(2, lambda: next(well_s), lambda: next(unwell_s))
-    seen = {at: robots.well(at).tolist() for at in (0, 0.999, 1.0, 1.249, 1.25, 1.749)}
+    robots = AlternatingStates(2, lambda: next(well_s), lambda: next(unwell_s))
+    seen = {at: robots.advance(at).tolist() for at in (0, 0.999, 1.0, 1.249, 1.25, 1.749)}
     assert seen == {
         0: [True, True],
         0.999: [True, True],
@@ -58,9 +58,11 @@ def test_robots_alternate_one_by_one_beginning_undisturbed():
         1.25: [True, True],
         1.749: [True, True],
     }
-    assert robots.well(1.75).tolist() == [False, True]
+    assert robots.advance(1.75).tolist() == [False, True]
 
 
 def test_a_robot_that_was_not_looked_at_for_long_has_changed_in_between():
-    robots = ByTurns(1, lambda: 1.0, lambda: 0.5)  # undisturbed from 0 to 1, 1.5 to 2.5, ...
-    assert [robots.well(at).item() for at in (0.9, 4.4, 4.6, 9.2)] == [True, False, True, True]
+    robots = AlternatingStates(
+        1, lambda: 1.0, lambda: 0.5
+    )  # undisturbed from 0 to 1, 1.5 to 2.5, ...
+    assert [robots.advance(at).item() for at in (0.9, 4.4, 4.6, 9.2)] == [True, False, True, True]

@@ -68,7 +68,7 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     stop the robots: at a common time step of 1 ms, the paths differ by rounding only.
     """
     simulated, commands, samples = simulated_drive()
-    trains = simulated.drive.host.trains
+    trains = simulated.drive.host.drivetrains
     true_wheels = Drivetrains(
         gain=trains.true_gain,
         dead_zone=trains.true_dead_zone,

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.search.kernels.gradient import Trace, backward, trace, width
-from tetractl.control.search.kernels.obstacles import count_hits, find_deepest, outward
+from tetractl.control.search.kernels.obstacles import Contacts, count_hits, find_deepest, outward
 from tetractl.control.search.kernels.rollout import count_meetings
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -89,11 +89,8 @@ class Room(NamedTuple):
     """
 
     path: Trace
-    near: Floats  # (M,)
-    x_before: Floats  # (L,) positions of one robot before each signal
-    y_before: Floats  # (L,)
-    gap: Floats  # (L,) of one robot
-    hits: Floats  # (N, M) number of obstacles and robots that each robot touches
+    contacts: Contacts  # of the path; hits (N, M), the other arrays (L,)
+    box_depth: Floats  # (M,) how deep one robot is in the box around an obstacle
     depths: Floats  # (N, O) d_io, the depth of each robot's deepest position in each obstacle
     deepest: Integers  # (N, O) number of the signal after which it has that position
     meetings: Floats  # (pairs,) d_ik, separation minus the least distance of each pair of robots
@@ -126,11 +123,8 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
     across = width(length)
     return Room(
         path=Trace.room_for(robots, length),
-        near=np.empty(across),
-        x_before=np.empty(length),
-        y_before=np.empty(length),
-        gap=np.empty(length),
-        hits=np.empty((robots, across)),
+        contacts=Contacts(np.empty((robots, across)), *np.empty((4, length))),
+        box_depth=np.empty(across),
         depths=np.empty((robots, obstacles)),
         deepest=np.empty((robots, obstacles), dtype=np.int64),
         meetings=np.empty(pairs),
@@ -496,22 +490,23 @@ def _sum_of_distances(problem, room):
 @compiled(**PART_FAST)
 def _sum_of_hits(problem, room):
     """Compute P of (9) for the path: the number of predicted contacts with obstacles and robots."""
+    contacts = room.contacts
     x = room.path.x
     y = room.path.y
     length = room.rows.shape[1]
     for i in range(len(problem.robots)):
-        room.x_before[0] = problem.poses[i, 0]
-        room.y_before[0] = problem.poses[i, 1]
+        contacts.x_before[0] = problem.poses[i, 0]
+        contacts.y_before[0] = problem.poses[i, 1]
         for j in range(length - 1):
-            room.x_before[j + 1] = x[i, j]
-            room.y_before[j + 1] = y[i, j]
+            contacts.x_before[j + 1] = x[i, j]
+            contacts.y_before[j + 1] = y[i, j]
         for j in range(length):
-            room.hits[i, j] = 0.0
-        count_hits(problem, x, y, i, room)
+            contacts.hits[i, j] = 0.0
+        count_hits(problem, x, y, i, contacts)
     if problem.separation > 0:
-        count_meetings(x, y, problem.separation, room.hits)
+        count_meetings(x, y, problem.separation, contacts.hits)
     total = 0.0
     for i in range(len(problem.robots)):
         for j in range(length):
-            total += room.hits[i, j]
+            total += contacts.hits[i, j]
     return total

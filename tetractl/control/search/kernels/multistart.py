@@ -35,7 +35,7 @@ from tetractl.control.search.kernels.levenberg import (
     polish,
 )
 from tetractl.control.search.kernels.motion import FlatProblem
-from tetractl.control.search.kernels.rollout import Rollouts, costs
+from tetractl.control.search.kernels.rollout import Rollouts, compute_costs
 from tetractl.control.search.kernels.update import drawn
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
@@ -259,7 +259,7 @@ def _scatter(task, rounds):
     if state.evaluations > 0 and state.evaluations + particles > task.budget:
         return SPENT
     _draw_sequences(task, drawn(task.key, state.rounds_begun), rounds)
-    if not costs(task.problem, task.rollouts, signals, rounds.scattered_costs):
+    if not compute_costs(task.problem, task.rollouts, signals, rounds.scattered_costs):
         return NOT_FINITE
     count = _sort(rounds.scattered_costs, rounds.order)
     for k in range(count):

@@ -140,9 +140,24 @@ def nearest(corners, count, radius, x, y):
     return (-away if inside else away) - radius, out_x / size, out_y / size
 
 
+class Contacts(NamedTuple):
+    """Working arrays to find out what robots touch along P paths, or at P points of one path."""
+
+    hits: Floats
+    """How often each of N robots touches an obstacle or another robot, shape (N, P)."""
+    x_before: Floats
+    """x of one robot before the present signal [length unit], shape (P,)."""
+    y_before: Floats
+    """y of one robot before the present signal [length unit], shape (P,)."""
+    clearance: Floats
+    """How far one robot is inside the walls; 0 once it touches anything else, shape (P,)."""
+    box_distance: Floats
+    """Distance of one robot from the box around an obstacle [length unit], shape (P,)."""
+
+
 @compiled(**PART_FAST)
-def count_hits(problem, x, y, i, room):
-    """Count where robot i has touched an obstacle: add 1 to hits[i, n] of the room.
+def count_hits(problem, x, y, i, contacts):
+    """Count where robot i has touched an obstacle: add 1 to contacts.hits[i, n].
 
     Particle n is one of P sequences of signals that are simulated at once.
 
@@ -151,19 +166,19 @@ def count_hits(problem, x, y, i, room):
         x: x of the robots, shape (N, P).
         y: y of the robots, shape (N, P).
         i: Index of the robot.
-        room: The working arrays. If paths are `swept`, x_before and y_before (P,) hold where the
-            robot came from. Its gap and near (P,) are scratch.
+        contacts: The working arrays. If paths are `swept`, x_before and y_before hold where the
+            robot came from. `clearance` and `box_distance` are overwritten.
     """
     obstacles = problem.obstacles
     walls = obstacles.walls
     swept = problem.swept
-    x0 = room.x_before
-    y0 = room.y_before
-    gap = room.gap
-    near = room.near
-    particles = gap.size
+    x0 = contacts.x_before
+    y0 = contacts.y_before
+    clearance = contacts.clearance
+    box_distance = contacts.box_distance
+    particles = clearance.size
     for n in range(particles):
-        gap[n] = 1.0
+        clearance[n] = 1.0
     if walls.size:
         left = walls[LEFT]
         bottom = walls[BOTTOM]
@@ -171,10 +186,10 @@ def count_hits(problem, x, y, i, room):
         top = walls[TOP]
         for n in range(particles):
             across = min(x[i, n] - left, right - x[i, n])
-            gap[n] = min(across, min(y[i, n] - bottom, top - y[i, n]))
+            clearance[n] = min(across, min(y[i, n] - bottom, top - y[i, n]))
         for n in range(particles if swept else 0):
             across = min(x0[n] - left, right - x0[n])
-            gap[n] = min(gap[n], min(across, min(y0[n] - bottom, top - y0[n])))
+            clearance[n] = min(clearance[n], min(across, min(y0[n] - bottom, top - y0[n])))
     for o in range(obstacles.radii.size):
         # the box around the shape, tested for all particles at once, leaves few to be tested
         corners = obstacles.corners[o]
@@ -194,20 +209,20 @@ def count_hits(problem, x, y, i, room):
                 my = y0[n] + hy - mid_y
                 off_box = max(abs(mx) - abs(hx) - half_x, abs(my) - abs(hy) - half_y)
                 across = abs(hx * my - hy * mx) - (half_x * abs(hy) + half_y * abs(hx))
-                near[n] = max(off_box, across)
-                in_box += 1.0 if near[n] <= 0 else 0.0
+                box_distance[n] = max(off_box, across)
+                in_box += 1.0 if box_distance[n] <= 0 else 0.0
         else:
             for n in range(particles):
-                near[n] = max(abs(x[i, n] - mid_x) - half_x, abs(y[i, n] - mid_y) - half_y)
-                in_box += 1.0 if near[n] <= 0 else 0.0
+                box_distance[n] = max(abs(x[i, n] - mid_x) - half_x, abs(y[i, n] - mid_y) - half_y)
+                in_box += 1.0 if box_distance[n] <= 0 else 0.0
         if in_box > 0:
             for n in range(particles):
-                if near[n] <= 0 and gap[n] > 0:
+                if box_distance[n] <= 0 and clearance[n] > 0:
                     ax, ay = (x0[n], y0[n]) if swept else (x[i, n], y[i, n])
                     if touches(corners, count, radius, ax, ay, x[i, n], y[i, n]):
-                        gap[n] = 0.0
+                        clearance[n] = 0.0
     for n in range(particles):
-        room.hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
+        contacts.hits[i, n] += 1.0 if clearance[n] <= 0 else 0.0
 
 
 @compiled(**PART_FAST)
@@ -218,8 +233,8 @@ def find_deepest(problem, floor, room):
         problem: The problem, a `FlatProblem`.
         floor: Depth that is reported if no position is deeper [length unit].
         room: The working arrays. `path` holds the path, `depths` (N, O) and `deepest` (N, O) are
-            filled with the depth and with the index of the first deepest position. near (M,) is
-            scratch.
+            filled with the depth and with the index of the first deepest position. `box_depth`
+            is overwritten.
     """
     length = room.trial.size
     obstacles = problem.obstacles
@@ -235,11 +250,11 @@ def find_deepest(problem, floor, room):
             box_left, box_bottom, box_right, box_top = box(obstacles, o)
             depth_most = floor
             deepest = 0
-            for j in range(room.near.size):
+            for j in range(room.box_depth.size):
                 beside = max(box_left - x[j], x[j] - box_right)
-                room.near[j] = -max(beside, max(box_bottom - y[j], y[j] - box_top))
+                room.box_depth[j] = -max(beside, max(box_bottom - y[j], y[j] - box_top))
             for j in range(length):
-                if room.near[j] > depth_most:
+                if room.box_depth[j] > depth_most:
                     depth = -nearest(corners, count, radius, x[j], y[j])[0]
                     if depth > depth_most:
                         depth_most = depth

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.control.search.kernels.motion import advance, robot_of
-from tetractl.control.search.kernels.obstacles import count_hits
+from tetractl.control.search.kernels.obstacles import Contacts, count_hits
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
 from tetractl.tools.kernels.kernel_cache import compiled
@@ -38,8 +38,6 @@ class Rollouts(NamedTuple):
     """Cosines of the robots' headings, shape (N, P)."""
     sin: Floats
     """Sines of the robots' headings, shape (N, P)."""
-    hits: Floats
-    """How often each robot touched an obstacle or came too near to another robot, (N, P)."""
     cos_u: Floats
     """Cosine of each particle's present signal, shape (P,)."""
     sin_u: Floats
@@ -48,14 +46,8 @@ class Rollouts(NamedTuple):
     """Cosine of the direction to which one robot turns, the signal plus its bias, shape (P,)."""
     own_sin: Floats
     """Sine of that direction, shape (P,)."""
-    x_before: Floats
-    """x of one robot before the present signal, shape (P,)."""
-    y_before: Floats
-    """y of one robot before the present signal, shape (P,)."""
-    gap: Floats
-    """Working array of `count_hits`, shape (P,)."""
-    near: Floats
-    """Working array of `count_hits`, shape (P,)."""
+    contacts: Contacts
+    """Working arrays to count what the robots touch, for P paths."""
 
 
 @lru_cache(maxsize=64)
@@ -67,9 +59,10 @@ def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
         robots: Number of robots.
         particles: Number of particles.
     """
-    of_robots = _aligned((5, robots, particles))
-    of_particles = _aligned((8, particles))
-    return Rollouts(*of_robots, *of_particles)
+    x, y, cos, sin, hits = _aligned((5, robots, particles))
+    cos_u, sin_u, own_cos, own_sin, *of_contacts = _aligned((8, particles))
+    contacts = Contacts(hits, *of_contacts)
+    return Rollouts(x, y, cos, sin, cos_u, sin_u, own_cos, own_sin, contacts)
 
 
 def _aligned(shape: tuple[int, ...]) -> Floats:
@@ -85,10 +78,9 @@ def _aligned(shape: tuple[int, ...]) -> Floats:
 
 @compiled(**ENTRY_FAST)
 def costs(problem, rollouts, signals, total):
-    """Compute the cost J of many sequences of signals.
+    """Compute the cost J of many sequences of signals, called from Python.
 
-    Arrays are taken out of the problem and the rollouts before the loops, because inside them each
-    access to a field would take as long as a dozen steps.
+    Kernels call `compute_costs`. If they called this function, it would be optimised twice.
 
     Args:
         problem: The problem, a `FlatProblem`.
@@ -99,6 +91,16 @@ def costs(problem, rollouts, signals, total):
     Returns:
         Whether all costs are finite.
     """
+    return compute_costs(problem, rollouts, signals, total)
+
+
+@compiled(**PART_FAST)
+def compute_costs(problem, rollouts, signals, total):
+    """Compute the cost J of many sequences of signals, as a part of a kernel.
+
+    Arrays are taken out of the problem and the rollouts before the loops, because inside them each
+    access to a field would take as long as a dozen steps. For the arguments, see `costs`.
+    """
     robots = problem.robots
     first = problem.first
     rest = problem.rest
@@ -106,13 +108,13 @@ def costs(problem, rollouts, signals, total):
     y = rollouts.y
     cos = rollouts.cos
     sin = rollouts.sin
-    hits = rollouts.hits
+    hits = rollouts.contacts.hits
     cos_u = rollouts.cos_u
     sin_u = rollouts.sin_u
     to_cos = rollouts.own_cos if problem.drifts else cos_u
     to_sin = rollouts.own_sin if problem.drifts else sin_u
-    x_before = rollouts.x_before
-    y_before = rollouts.y_before
+    x_before = rollouts.contacts.x_before
+    y_before = rollouts.contacts.y_before
     for i in range(len(robots)):
         for n in range(total.size):
             x[i, n] = problem.poses[i, 0]
@@ -144,7 +146,7 @@ def costs(problem, rollouts, signals, total):
                 for n in range(total.size):
                     x[i, n] = x[i, n] + dx
                     y[i, n] = y[i, n] + dy
-            count_hits(problem, x, y, i, rollouts)
+            count_hits(problem, x, y, i, rollouts.contacts)
         if problem.separation > 0:
             count_meetings(x, y, problem.separation, hits)
     return _add_up(problem, rollouts, total)
@@ -175,7 +177,7 @@ def _add_up(problem, rollouts, total):
     """Compute the cost J of each particle from f and P by (7). Return whether all are finite."""
     x = rollouts.x
     y = rollouts.y
-    hits = rollouts.hits
+    hits = rollouts.contacts.hits
     weight = problem.obstacle_weight
     for n in range(total.size):
         total[n] = 0.0

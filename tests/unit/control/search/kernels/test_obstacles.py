@@ -66,16 +66,16 @@ def problem_in(region, swept=False, robots=2):
 def test_a_robot_is_hit_where_the_readable_region_says_so(region, moves, swept):
     """The second robot of two; the hits of the first, and those from before, stay."""
     before, after = np.array(moves).transpose(1, 2, 0)
-    room = rollouts_of(0, 2, len(moves))
-    room.hits[:] = [[7.0], [3.0]]
-    room.x_before[:], room.y_before[:] = before
+    contacts = rollouts_of(0, 2, len(moves)).contacts
+    contacts.hits[:] = [[7.0], [3.0]]
+    contacts.x_before[:], contacts.y_before[:] = before
     x, y = np.full((2, 2, len(moves)), 1e6)
     x[1], y[1] = after
-    count_hits(flatten(problem_in(region, swept)), x, y, 1, room)
+    count_hits(flatten(problem_in(region, swept)), x, y, 1, contacts)
     expected = region.meets_segments(*before, *after) if swept else region.contains(*after)
-    assert (room.hits[1] - 3 > 0).tolist() == np.broadcast_to(expected, len(moves)).tolist()
-    assert set(room.hits[1]) <= {3.0, 4.0}  # a step counts once, however many obstacles it hits
-    assert (room.hits[0] == 7).all()
+    assert (contacts.hits[1] - 3 > 0).tolist() == np.broadcast_to(expected, len(moves)).tolist()
+    assert set(contacts.hits[1]) <= {3.0, 4.0}  # a step counts once, however many obstacles it hits
+    assert (contacts.hits[0] == 7).all()
 
 
 @given(REGIONS, st.lists(POINTS, min_size=1, max_size=9), st.sampled_from([0.5, 2.0]))

@@ -111,15 +111,17 @@ def test_a_cost_that_is_no_number_is_told_whichever_sequence_it_is_of():
 
 
 def test_the_arrays_of_a_thread_are_shared_and_begin_at_cache_lines():
-    arrays = rollouts_of(1, 3, 5)
-    assert rollouts_of(1, 3, 5) is arrays
-    assert rollouts_of(2, 3, 5) is not arrays
-    assert {values.shape for values in arrays[:5]} == {(3, 5)}
-    assert {values.shape for values in arrays[5:]} == {(5,)}
-    assert arrays.x.ctypes.data % 64 == 0
-    assert arrays.cos_u.ctypes.data % 64 == 0
-    whole = np.concatenate([values.ravel() for values in arrays])
+    rollouts = rollouts_of(1, 3, 5)
+    assert rollouts_of(1, 3, 5) is rollouts
+    assert rollouts_of(2, 3, 5) is not rollouts
+    of_robots = [rollouts.x, rollouts.y, rollouts.cos, rollouts.sin, rollouts.contacts.hits]
+    assert {values.shape for values in of_robots} == {(3, 5)}
+    of_particles = [*rollouts[4:8], *rollouts.contacts[1:]]
+    assert {values.shape for values in of_particles} == {(5,)}
+    assert len(of_robots) + len(of_particles) == len(rollouts) - 1 + len(rollouts.contacts)
+    assert rollouts.x.ctypes.data % 64 == 0
+    assert rollouts.cos_u.ctypes.data % 64 == 0
+    arrays = of_robots + of_particles
     for number, values in enumerate(arrays):
         values[...] = number
-    assert whole.size == sum(values.size for values in arrays)
     assert all((values == number).all() for number, values in enumerate(arrays))  # none overlaps

@@ -20,7 +20,7 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.dish_abilities import tracker_of
 from tetractl_microscope.choice.section import Choice
 from tetractl_microscope.choice.turn_field import manoeuvre, turn_field
-from tetractl_microscope.one_recording import EXPLAINED
+from tetractl_microscope.one_recording import EXPLAINED_FRACTION_MIN
 from tetractl_microscope.sent_directions import FieldAt, courses, turning_fit
 
 CELLS_MIN = 3  # minimum number of cells that show a rotation
@@ -148,7 +148,7 @@ def describe_handedness(turning: Handedness | None) -> tuple[list[str], str]:
         f"{100 * turning.explained:.0f} % of the turning of {turning.cells} cells is towards "
         + ("the mirror image of the field" if turning.mirrored else f"the field, {angle_text}")
     )
-    if turning.explained < EXPLAINED:
+    if turning.explained < EXPLAINED_FRACTION_MIN:
         return [
             "the cells do not turn with the field: is the field on, and are the cells magnetised?"
         ], turning_text
@@ -171,7 +171,7 @@ def describe_wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> li
     Returns:
         One sentence. Empty if directions are right, or if cells do not turn with the field.
     """
-    if turning.explained < EXPLAINED or not (turning.mirrored or turning.rotated):
+    if turning.explained < EXPLAINED_FRACTION_MIN or not (turning.mirrored or turning.rotated):
         return []
     if turning.mirrored:
         return [f"cells turn right when the field turns left: {mirrored}"]

@@ -1,10 +1,10 @@
-"""Reproduces how fast bacteria turn in magnetic fields, after Pichel and others (2018).
+"""Checks, with simulated bacteria, a measurement by Pichel and others (2018) of how fast they turn.
 
-The paper, Magnetic response of Magnetospirillum gryphiswaldense (arXiv 1710.00405), measures how
-fast bacteria turn in fields of 1 to 12 mT, from their U-turns in a channel of 5 um. Here the tracks
-are simulated, one table for each field strength, and fitted as by `tetractl track`. The slope of
-the turning rate a against the field strength B is an input, sampled for each set of tables, so the
-result only shows that the method works.
+The paper is "Magnetic response of Magnetospirillum gryphiswaldense" (arXiv 1710.00405). Its authors
+measured how fast bacteria turn in fields of 1 to 12 mT, from U-turns in a channel of 5 um. This
+module simulates the tracks, one table for each field strength, and fits them as `tetractl track`
+does. The slope of the turning rate a against the field strength B is an input, which is sampled
+anew for each set of tables. The result therefore only shows that the method works.
 """
 
 import math
@@ -22,122 +22,155 @@ from tetractl_microscope.organisms import MAGNETOSPIRILLUM
 from tetractl_microscope.tracks.fit_track import CellPath, CellSummary, fit_tracks
 
 STRENGTHS_MT = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0)
-CELLS = 34
-SLOPES = 0.5, 1.0
-"""Range of the simulated slopes [rad/(mT s)], which the fit does not know."""
-SPREAD = 0.15
-"""Assumed standard deviation of ln of the slope among cells."""
-WALK = 0.1
-"""Assumed standard deviation of headings [rad/sqrt(s)]."""
-NOISE_UM = 0.1
+N_CELLS = 34  # in each table
+SLOPE_RANGE = 0.5, 1.0
+"""Range of the simulated slopes of a against B [rad/(mT s)]. The fit does not know the slope."""
+LOG_SLOPE_SD = 0.15
+"""Assumed standard deviation, among cells, of the logarithm of the slope."""
+HEADING_WALK_SD = 0.1
+"""Assumed random walk of a heading: its standard deviation after one second [rad/sqrt(s)]."""
+POSITION_SD_UM = 0.1
 """Assumed standard deviation of each coordinate of a tracked position [um]."""
-RATE_HZ = 15
-HOLD_S = 3.0
-REVERSALS = 4
+RATE_HZ = 15  # images per second
+HOLD_S = 3.0  # time between two reversals of the field [s]
+N_REVERSALS = 4
 REFERENCE_MT = 4.0
-"""The field strength for which `track` states a [mT].
+"""The reference field [mT]: the turning rate a is stated for this field strength.
 
-A file of the field has strengths relative to it.
+The strengths in a recorded field are relative to it.
 """
-ROUNDS = 20
-"""Number of times that outliers are removed and the slope is fitted again."""
-OUTLIER = 3.0
+N_FIT_ROUNDS = 20
+"""Number of times that the fit leaves out outliers and is repeated."""
+DEVIATION_MAX = 3.0
 """Maximum deviation of a track's slope from the fit, in standard deviations.
 
-A track beyond it is left out, because it joins more cells than one.
+The fit leaves out tracks that deviate more, because such a track usually joins several cells.
 """
 
 
-def _bacteria(slope: float, rng: np.random.Generator) -> Swimmers:
-    cells = Swimmers.drawn(rng, CELLS)
-    cells.speed[:] = 32 * np.exp(rng.normal(0, 0.2, CELLS))
+def _sample_bacteria(slope: float, rng: np.random.Generator) -> Swimmers:
+    """Sample N_CELLS bacteria whose mean turning rate at 1 mT is `slope` [rad/s]."""
+    cells = Swimmers.drawn(rng, N_CELLS)
+    cells.speed[:] = 32 * np.exp(rng.normal(0, 0.2, N_CELLS))
     cells.helix_um[:] = 0.1
     cells.helix_hz[:] = 2.0
-    cells.walk[:] = WALK
-    cells.a[:] = slope * np.exp(rng.normal(-(SPREAD**2) / 2, SPREAD, CELLS))  # at 1 mT
+    cells.walk[:] = HEADING_WALK_SD
+    cells.a[:] = slope * np.exp(
+        rng.normal(-(LOG_SLOPE_SD**2) / 2, LOG_SLOPE_SD, N_CELLS)
+    )  # at 1 mT
     return cells
 
 
-def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequence[CellSummary]:
-    """Simulate the tracks of a table in a field that reverses, and fit them as `track` does."""
-    times = np.arange(round(REVERSALS * HOLD_S * RATE_HZ)) / RATE_HZ
+def _simulate_tracks(
+    strength_mt: float, slope: float, rng: np.random.Generator
+) -> Sequence[CellSummary]:
+    """Simulate tracks in a field that reverses every HOLD_S, and fit them as `tetractl track` does.
+
+    Args:
+        strength_mt: Strength of the field [mT].
+        slope: Mean turning rate of the cells per field strength [rad/(mT s)].
+        rng: Generator of all random numbers.
+    """
+    times = np.arange(round(N_REVERSALS * HOLD_S * RATE_HZ)) / RATE_HZ
     angles = rng.uniform(-math.pi, math.pi) + math.pi * (times // HOLD_S)
-    cells = _bacteria(slope, rng)
-    shown = []
+    cells = _sample_bacteria(slope, rng)
+    measured_places = []
     for angle in angles.tolist():
-        now = bodies(cells)
-        shown.append(np.column_stack([now.x, now.y]) + rng.normal(0, NOISE_UM, (CELLS, 2)))
-        field_mt = (strength * math.cos(angle), strength * math.sin(angle))
+        cell_bodies = bodies(cells)
+        measured_places.append(
+            np.column_stack([cell_bodies.x, cell_bodies.y])
+            + rng.normal(0, POSITION_SD_UM, (N_CELLS, 2))
+        )
+        field_mt = (strength_mt * math.cos(angle), strength_mt * math.sin(angle))
         cells.swim(field_mt, 1 / RATE_HZ, rng)
-    places = np.array(shown)
-    paths = [CellPath(cell, times, places[:, cell]) for cell in range(CELLS)]
-    record = FieldRecord(times, angles, np.full(len(times), strength / REFERENCE_MT))
+    places = np.array(measured_places)
+    paths = [CellPath(cell, times, places[:, cell]) for cell in range(N_CELLS)]
+    record = FieldRecord(times, angles, np.full(len(times), strength_mt / REFERENCE_MT))
     return fit_tracks(paths, MAGNETOSPIRILLUM, record, 1 / RATE_HZ)
 
 
-def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
-    """Fit the slope a / B from the slopes of tracks (T,), with its 95 % interval.
+def fit_slope(slopes: Floats, slope_sds: Floats) -> tuple[float, float, float]:
+    """Fit the mean ratio of turning rate to field strength, a / B, from the ratios of many tracks.
 
-    The result is a line through the origin. Each track is weighted by its own variance plus the
-    variance among cells. The interval uses Student's t. Tracks more than OUTLIER deviations away
+    The weight of a track is the inverse of its own variance plus the variance among cells. The
+    interval uses Student's t. Tracks that deviate by more than DEVIATION_MAX standard deviations
     are left out.
+
+    Args:
+        slopes: a / B of each track, shape (T,) [rad/(mT s)].
+        slope_sds: Standard deviations of `slopes`, shape (T,) [rad/(mT s)].
+
+    Returns:
+        The mean ratio, and the lower and the upper end of its 95 % interval [rad/(mT s)].
     """
     from scipy import stats  # slow to import
 
-    middle = float(np.median(slopes))
-    deviation = float(np.median(np.abs(slopes - middle)))
-    among = deviation / stats.norm.ppf(0.75)
-    weights = 1 / (among**2 + deviations**2)
-    is_near = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
-    for _ in range(ROUNDS):
-        middle = float(np.average(slopes[is_near], weights=weights[is_near]))
-        is_near = np.abs(slopes - middle) * np.sqrt(weights) < OUTLIER
-    share_of = weights[is_near] / weights[is_near].sum()
-    error = float(np.sqrt(np.sum((share_of * (slopes[is_near] - middle)) ** 2)))
-    half = float(stats.t.ppf(0.975, is_near.sum() - 1)) * error
-    return middle, middle - half, middle + half
+    mean_slope = float(np.median(slopes))
+    median_deviation = float(np.median(np.abs(slopes - mean_slope)))
+    sd_among_cells = median_deviation / stats.norm.ppf(0.75)
+    weights = 1 / (sd_among_cells**2 + slope_sds**2)
+    is_near = np.abs(slopes - mean_slope) * np.sqrt(weights) < DEVIATION_MAX
+    for _ in range(N_FIT_ROUNDS):
+        mean_slope = float(np.average(slopes[is_near], weights=weights[is_near]))
+        is_near = np.abs(slopes - mean_slope) * np.sqrt(weights) < DEVIATION_MAX
+    weight_fractions = weights[is_near] / weights[is_near].sum()
+    standard_error = float(
+        np.sqrt(np.sum((weight_fractions * (slopes[is_near] - mean_slope)) ** 2))
+    )
+    half_width = float(stats.t.ppf(0.975, is_near.sum() - 1)) * standard_error
+    return mean_slope, mean_slope - half_width, mean_slope + half_width
 
 
-def tables(seed: int, number: int) -> dict[str, Any]:
-    """Simulate a set of tables, one for each field strength, with a known slope.
+def simulate_tables(seed: int, number: int) -> dict[str, Any]:
+    """Simulate a set of tables, one for each field strength, with a known slope of a against B.
+
+    Args:
+        seed: Root seed of the random numbers.
+        number: Index of the set, from 0.
 
     Returns:
-        The slope, and a / B of each track with its standard deviation [rad/(mT s)].
+        "put in" maps to the true slope, "slopes" to a / B of each track, and "deviations" to the
+        standard deviations of these ratios, all in rad/(mT s).
     """
     from scipy import stats  # slow to import
 
     rng = np.random.default_rng([seed, number])
-    put_in = float(rng.uniform(*SLOPES))
-    cells = [cell for mt in STRENGTHS_MT for cell in _tracked(mt, put_in, rng)]
+    true_slope = float(rng.uniform(*SLOPE_RANGE))
+    cells = [
+        cell
+        for strength_mt in STRENGTHS_MT
+        for cell in _simulate_tracks(strength_mt, true_slope, rng)
+    ]
     couplings = [cell.a_rad_s for cell in cells if cell.a_rad_s is not None]
-    deviations = [(a.high - a.low) / 2 / stats.norm.ppf(0.975) / REFERENCE_MT for a in couplings]
+    slope_sds = [(a.high - a.low) / 2 / stats.norm.ppf(0.975) / REFERENCE_MT for a in couplings]
     slopes = [a.value / REFERENCE_MT for a in couplings]
-    return {"put in": put_in, "slopes": slopes, "deviations": deviations}
+    return {"put in": true_slope, "slopes": slopes, "deviations": slope_sds}
 
 
 def interval_width(tables_of_set: Mapping[str, Any]) -> float:
-    """Return the width of the 95 % interval of the slope from a set of tables [rad/(mT s)]."""
-    _, low, high = _fitted_to(tables_of_set)
+    """Compute the width of the 95 % interval of a / B from a set of tables [rad/(mT s)]."""
+    _, low, high = _fit_tables(tables_of_set)
     return high - low
 
 
 def misses_slope(tables_of_set: Mapping[str, Any]) -> bool:
-    """Check whether the 95 % interval from a set of tables excludes the simulated slope.
+    """Check whether the 95 % interval of a / B from a set of tables excludes the true slope.
 
     The ends belong to the interval.
     """
-    _, low, high = _fitted_to(tables_of_set)
+    _, low, high = _fit_tables(tables_of_set)
     return not low <= tables_of_set["put in"] <= high
 
 
-def _fitted_to(tables_of_set: Mapping[str, Any]) -> tuple[float, float, float]:
-    return fitted(np.array(tables_of_set["slopes"]), np.array(tables_of_set["deviations"]))
+def _fit_tables(tables_of_set: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Fit a / B to a set of tables: the mean ratio and its 95 % interval [rad/(mT s)]."""
+    return fit_slope(np.array(tables_of_set["slopes"]), np.array(tables_of_set["deviations"]))
 
 
 PAPER = Paper(
     source="Pichel and others, 2018: turning rate against the field's strength (simulated "
     "tracks; the slope is put in)",
-    arms={"tables": Work(tables)},
+    arms={"tables": Work(simulate_tables)},
     claims=[
         Claim(
             figure="a over B: width of its interval, 204 cells",

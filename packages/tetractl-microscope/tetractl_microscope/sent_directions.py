@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats
 from tetractl_microscope.one_recording import (
-    EXPLAINED,
+    EXPLAINED_FRACTION_MIN,
     Reading,
     check_explained,
 )
@@ -179,7 +179,7 @@ def check_directions(
     if not longest:
         return
     fraction, _ = _best_delay(longest, sent, delays_s, towards)
-    if fraction >= EXPLAINED:
+    if fraction >= EXPLAINED_FRACTION_MIN:
         return
     readings_tried = list[Reading]()
     for reading in readings:

@@ -26,7 +26,7 @@ FILE_FIELDS = (
     ("plant", "faults"),
     ("controller", "weights"),
 )
-"""The fields of a spec that name a file relative to its folder."""
+"""Paths of the fields of a spec that name a file relative to the spec's folder."""
 
 
 def survey(
@@ -198,10 +198,10 @@ def _rebase_file_names(data: dict[str, Any], folder: Path, new_folder: Path) -> 
 
 
 def _parse_micrometer(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
-    """Parse the option --micrometer: two positions [px], and their distance [um].
+    """Parse the value of the option --micrometer: two positions [px], and their distance [um].
 
     Raises:
-        UsageError: If it is not five finite numbers, or if the distance is not above 0.
+        UsageError: If the value is not five finite numbers, or if the distance is not above 0.
     """
     try:
         first_column, first_row, second_column, second_row, distance_um = (
@@ -222,9 +222,9 @@ def _parse_micrometer(text: str) -> tuple[tuple[float, float], tuple[float, floa
 
 
 def _choice_line(proposal: "RankedChoice", unit: str) -> str:
-    """Describe a choice of cells: its predicted error, and which cells were near the edge.
+    """Format a choice of cells in one line: its predicted error, and the cells near the edge.
 
-    The error is "none, as no plan was found" if it is infinite.
+    If the error is infinite, it is written as "none, as no plan was found".
     """
     numbers = ", ".join(map(str, proposal.numbers))
     error = (
@@ -242,7 +242,7 @@ def _print_cells(
     pairs: "Sequence[tuple[RobotCandidate, RobotCandidate]]",
     unit: str,
 ) -> None:
-    """Print each cell with 95 % intervals.
+    """Print each cell with the 95 % intervals of its turning rate a and its speed.
 
     Then print the pairs of cells whose turning rates a are too similar to tell the cells apart.
     """

@@ -8,8 +8,20 @@ from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.tools.table.table_files import open_table_files
 
-FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".wmv", ".tif", ".tiff", ".nd2", ".czi", ".gif")
-"""Endings of the names of films, which are given to a tracking program first."""
+VIDEO_SUFFIXES = (
+    ".avi",
+    ".mp4",
+    ".mov",
+    ".mkv",
+    ".m4v",
+    ".wmv",
+    ".tif",
+    ".tiff",
+    ".nd2",
+    ".czi",
+    ".gif",
+)
+"""File name suffixes of videos. A tracking program must process a video first."""
 
 
 def track(
@@ -78,42 +90,52 @@ def track(
         other_readings,
     )
     from tetractl_microscope.tracks.cell_tables import cell_data, cell_tables
-    from tetractl_microscope.tracks.field_file import clock_remarks, read_field, side_remarks
+    from tetractl_microscope.tracks.field_file import (
+        describe_clock_mismatches,
+        describe_wrong_directions,
+        read_field,
+    )
     from tetractl_microscope.tracks.foreign_tracks import spot_tracks
     from tetractl_microscope.tracks.swimming_tracks import (
-        organism_by_speed,
+        create_track_record,
+        find_organism_by_speed,
+        select_swimming_tracks,
         stage_remarks,
-        swimming_tracks,
-        track_record,
     )
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
-    if tracks.suffix.lower() in FILMS:
+    if tracks.suffix.lower() in VIDEO_SUFFIXES:
         raise UsageError(
             f"{tracks}: the file is a video, but this command needs tracks",
             "track the cells with trackpy or TrackMate, and give the table that it writes",
         )
-    kind = None if organism is None else named(organism)
+    stated_organism = None if organism is None else named(organism)
     ui.refuse_filled(out)
     directions = None if field is None else read_field(field, y_down)
     remarks: list[str] = []
     spots = spot_tracks(tracks, scale, rate, remarks)
     ui.print_messages(*remarks)
-    cells = swimming_tracks(tracks, spots, directions is not None)
+    cells = select_swimming_tracks(tracks, spots, directions is not None)
     ui.print_messages(*cells.remarks)
     if directions is not None and field is not None:
-        ui.print_messages(*clock_remarks(directions, str(field), str(tracks), *cells.span_s))
+        ui.print_messages(
+            *describe_clock_mismatches(directions, str(field), str(tracks), *cells.span_s)
+        )
         readings = other_readings(str(field), directions, cells.period_s, "cells")
         readings.append(mirror_reading(str(tracks), str(field), directions, "cells"))
-        rows = [path.rows for path in cells.paths]
-        check_directions(str(field), courses(rows), directions, SHORT_DELAYS_S, readings)
-        ui.print_messages(*side_remarks(directions, rows))
-    together = stage_remarks(cells.paths, directions)
-    ui.print_messages(*together)
-    swimmer = organism_by_speed(cells.paths) if kind is None else kind
+        path_rows = [path.rows for path in cells.paths]
+        check_directions(str(field), courses(path_rows), directions, SHORT_DELAYS_S, readings)
+        ui.print_messages(*describe_wrong_directions(directions, path_rows))
+    stage_warnings = stage_remarks(cells.paths, directions)
+    ui.print_messages(*stage_warnings)
+    chosen_organism = (
+        find_organism_by_speed(cells.paths) if stated_organism is None else stated_organism
+    )
     with ui.show_progress("Fitting"):
-        record = track_record(tracks, cells, swimmer, None if together else directions)
+        record = create_track_record(
+            tracks, cells, chosen_organism, None if stage_warnings else directions
+        )
     ui.print_results(as_json, record, cell_tables(record))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

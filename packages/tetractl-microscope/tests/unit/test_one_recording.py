@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_microscope.one_recording import (
+    FileSpan,
     Reading,
-    Span,
     check_explained,
-    clock_remark,
+    describe_clock_mismatch,
     refuse_times_apart,
 )
 
@@ -76,7 +76,7 @@ def test_commands_that_explain_too_little_are_refused_from_a_limit_on(explained,
 
 
 def spans(begin, end, sent_from, sent_until=math.inf):
-    return Span("poses.csv", begin, end), Span("sent.csv", sent_from, sent_until)
+    return FileSpan("poses.csv", begin, end), FileSpan("sent.csv", sent_from, sent_until)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_commands_are_refused_if_none_acts_during_the_recording(sent_from, sent_
 
 def remark(sent, begin=0.0, end=10.0, of_way=1.0):
     poses, commands = spans(begin, end, float(sent[0]))
-    return clock_remark(poses, np.asarray(sent, float), commands, of_way)
+    return describe_clock_mismatch(poses, np.asarray(sent, float), commands, of_way)
 
 
 @given(st.floats(-1e3, 1e6), st.floats(2.0, 500.0), st.integers(2, 40))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from tetractl_microscope import pichel_2018
-from tetractl_microscope.pichel_2018 import fitted, interval_width, misses_slope
+from tetractl_microscope.pichel_2018 import fit_slope, interval_width, misses_slope
 
 SPREAD = 0.15  # of the slopes of cells: the standard deviation of their logarithm
 
@@ -26,7 +26,7 @@ def test_the_interval_holds_the_slope_put_in():
     for _ in range(200):
         slope = rng.uniform(0.5, 1.0)
         mean_slope = slope * np.exp(SPREAD**2 / 2)
-        middle, low, high = fitted(*measured_slopes(rng, slope))
+        middle, low, high = fit_slope(*measured_slopes(rng, slope))
         assert low < middle < high
         holds.append(low <= mean_slope <= high)
         widths.append(high - low)
@@ -37,16 +37,16 @@ def test_the_interval_holds_the_slope_put_in():
 @pytest.mark.slow
 def test_simulated_tracks_give_the_slope_put_in(monkeypatch):
     monkeypatch.setattr(pichel_2018, "STRENGTHS_MT", (6.0,))
-    monkeypatch.setattr(pichel_2018, "CELLS", 6)
-    monkeypatch.setattr(pichel_2018, "REVERSALS", 2)
-    tables = pichel_2018.tables(1, 0)
+    monkeypatch.setattr(pichel_2018, "N_CELLS", 6)
+    monkeypatch.setattr(pichel_2018, "N_REVERSALS", 2)
+    tables = pichel_2018.simulate_tables(1, 0)
     assert len(tables["slopes"]) == 6
     assert np.median(tables["slopes"]) == pytest.approx(tables["put in"], rel=0.3)
 
 
 def test_a_mean_of_equally_exact_slopes_has_the_usual_error():
     slopes = 0.7 + 0.1 * np.random.default_rng(5).standard_normal(400)
-    middle, low, high = fitted(slopes, np.full(400, 0.05))
+    middle, low, high = fit_slope(slopes, np.full(400, 0.05))
     assert middle == pytest.approx(slopes.mean(), abs=0.003)
     half = 1.96 * slopes.std() / np.sqrt(400)
     assert (high - low) / 2 == pytest.approx(half, rel=0.1)
@@ -55,7 +55,7 @@ def test_a_mean_of_equally_exact_slopes_has_the_usual_error():
 
 def test_exact_slopes_count_more_and_outliers_do_not_count():
     slopes = np.array([0.7, 0.71, 0.69, 0.7, 0.7, 1.5, 5.0])
-    middle, _, _ = fitted(slopes, np.array([0.01, 0.01, 0.01, 0.01, 0.01, 2.0, 0.01]))
+    middle, _, _ = fit_slope(slopes, np.array([0.01, 0.01, 0.01, 0.01, 0.01, 2.0, 0.01]))
     assert middle == pytest.approx(0.7, abs=0.01)
 
 
@@ -63,7 +63,7 @@ def test_the_slope_that_was_put_in_is_missed_beyond_either_end_of_the_interval()
     rng = np.random.default_rng(8)
     slopes = 0.7 + 0.05 * rng.standard_normal(50)
     table = {"slopes": slopes.tolist(), "deviations": [0.02] * 50}
-    _, low, high = fitted(slopes, np.full(50, 0.02))
+    _, low, high = fit_slope(slopes, np.full(50, 0.02))
     assert interval_width(table | {"put in": 0.7}) == pytest.approx(high - low)
     for put_in, missed in (
         (low - 1e-6, True),

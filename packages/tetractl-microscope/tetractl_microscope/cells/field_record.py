@@ -18,7 +18,7 @@ NO_FIELD_YET = (-math.inf, 0.0, 0.0)
 
 
 class FieldRecord(SentDirections):
-    """The field over time in steps.
+    """The direction and strength of the magnetic field over time, which change in steps.
 
     There is no field before the first time, and the last value lasts for ever.
     """
@@ -27,16 +27,16 @@ class FieldRecord(SentDirections):
         """Convert the field to a mapping for records.
 
         Returns:
-            "time_s" maps to the times [s], and "x" and "y" to the components of the field from each
-            time on.
+            "time_s" maps to the times [s], and "x" and "y" to the components of the field from that
+            time until the next.
         """
         return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
 
     def pieces(self, start_s: float, end_s: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, oldest first.
 
-        Each piece has its duration [s], x and y. Before the first recorded time, both are
-        0.
+        Each piece has its duration [s], x and y. Before the first recorded time, x and y
+        are 0.
         """
         first_index, stop_index = np.searchsorted(self.times, (start_s, end_s), side="right")
         cuts_s = np.array([start_s, *self.times[first_index:stop_index], end_s])
@@ -46,7 +46,7 @@ class FieldRecord(SentDirections):
 
 
 class FieldSignals:
-    """The newest directions that were sent, in the order of time.
+    """A record of the newest field directions that were sent, in the order of time.
 
     One thread may record them while another reads them.
     """
@@ -72,8 +72,8 @@ class FieldSignals:
     def record(self, rotation: float) -> FieldRecord:
         """Return the recorded field in axes that are rotated by `rotation` [rad], anticlockwise.
 
-        There is no field before the first direction, and only the newest WAITING_MAX are
-        kept.
+        There is no field before the first direction, and only the newest QUEUE_MAX directions
+        are kept.
         """
         with self._lock:
             signals = [NO_FIELD_YET, *self._sent]

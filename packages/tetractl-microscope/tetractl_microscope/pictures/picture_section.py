@@ -1,6 +1,6 @@
-"""The part of a spec shared by all cameras that search images: the source of the images.
+"""The sources of images in a spec, for all cameras that search images for robots or cells.
 
-OpenCV is imported only if the camera is built.
+OpenCV is imported only if a camera is opened.
 """
 
 from pkgutil import resolve_name
@@ -17,37 +17,45 @@ from tetractl.spec.registry_fields import KindSection
 from tetractl_microscope.pictures.feed import Feed
 from tetractl_microscope.registries import PICTURE_SOURCES
 
-PIXELS_MAX = 8192  # longest side of a picture [px]
-Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
+IMAGE_SIDE_MAX_PX = 8192  # maximum width and height of an image [px]
+Pixels = Annotated[int, Field(ge=64, le=IMAGE_SIDE_MAX_PX)]
 
 
 class PictureSource(Model):
-    """A source of images; each kind is a class in the registry of picture sources."""
+    """A source of images in a spec: the base class of all sources, such as a camera or a film.
+
+    Each type of source is a class in the registry of picture sources.
+    """
 
     type: Any  # the source's name, a Literal in each subclass
     feed: ClassVar[str]
-    """The class of the open source, a `Feed`, as "module:class".
+    """The `Feed` that delivers the images of this source, as "module:class".
 
-    It is called with (source, clock, timeout_s), and imported only when the source is opened.
+    `open` imports the class and calls it with (source, clock, timeout_s).
     """
 
     @property
     def shown(self) -> str:
-        """The source for display, such as its address."""
+        """A short description of the source for display, such as its address."""
         return str(self.type)
 
     def open(self, clock: Clock, timeout_s: float) -> Feed:
-        """Open the source, waiting up to `timeout_s` [s] for an answer.
+        """Open the source of images.
+
+        Args:
+            clock: The clock that gives the time at which an image is received.
+            timeout_s: Maximum time to wait for an answer of the source [s].
 
         Raises:
-            AbortError: If that fails.
+            AbortError: If the source cannot be opened.
         """
         return resolve_name(self.feed)(self, clock, timeout_s)
 
     def checked(self) -> None:
-        """Read five images, for `tetractl kinds --check`.
+        """Check that the source delivers valid images, for `tetractl kinds --check`.
 
-        A source that cannot be opened is not checked further.
+        Reads five images. Their times must rise, and their pixels must have 8 bits. A source that
+        cannot be opened is not checked further.
         """
         from tetractl_testing.expect import expect, expect_true
 
@@ -58,29 +66,31 @@ class PictureSource(Model):
             expect(f"the camera was not opened, so its images were not checked ({error.message})")
             return
         try:
-            readings = [feed.read() for _ in range(5)]
+            pictures = [feed.read() for _ in range(5)]
         finally:
             feed.interrupt()
             feed.close()
-        times = [reading.received_ns for reading in readings]
-        rise = times == sorted(set(times)) and times[-1] <= clock.now()
-        expect_true("read: times rise, on the clock given", rise, str(times))
-        jpeg = [
+        received_ns = [reading.received_ns for reading in pictures]
+        times_rise = received_ns == sorted(set(received_ns)) and received_ns[-1] <= clock.now()
+        expect_true("read: times rise, on the clock given", times_rise, str(received_ns))
+        are_images = [
             isinstance(reading.content, bytes) or reading.content.dtype == np.uint8
-            for reading in readings
+            for reading in pictures
         ]
-        expect_true("read: JPEG bytes, or pixels of 8 bits", jpeg)
+        expect_true("read: JPEG bytes, or pixels of 8 bits", are_images)
         shapes = [
             np.shape(reading.content)
-            for reading in readings
+            for reading in pictures
             if not isinstance(reading.content, bytes)
         ]
-        right = [len(shape) == 2 or (len(shape) == 3 and shape[2] == 3) for shape in shapes]
-        expect_true("read: pixels (height, width) or (height, width, 3)", right)
+        are_shapes_valid = [
+            len(shape) == 2 or (len(shape) == 3 and shape[2] == 3) for shape in shapes
+        ]
+        expect_true("read: pixels (height, width) or (height, width, 3)", are_shapes_valid)
 
 
 class DeviceSource(PictureSource):
-    """A camera connected to this computer, opened by OpenCV."""
+    """A source of images: a camera connected to this computer, opened by OpenCV."""
 
     feed: ClassVar[str] = "tetractl_microscope.pictures.source:DeviceFeed"
     type: Literal["device"]
@@ -104,31 +114,31 @@ class DeviceSource(PictureSource):
 
     @property
     def shown(self) -> str:
-        """The camera's number."""
+        """The number of the camera, for display."""
         return f"camera {self.index}"
 
 
 class FileSource(PictureSource):
-    """A film that imageio reads, such as MP4, AVI or TIFF, played once.
+    """A source of images: a video file that imageio reads, such as MP4, AVI or TIFF, played once.
 
-    It shows what the camera would see in this film; nothing can be steered.
+    It shows what a camera would find in this video. Nothing can be steered.
     """
 
     feed: ClassVar[str] = "tetractl_microscope.pictures.source:FileFeed"
     type: Literal["file"]
     path: str = Field(min_length=1, max_length=500)
-    """Path of the film, absolute or relative to the working directory."""
+    """Path of the video file, absolute or relative to the working directory."""
     rate: Positive | None = None
-    """Rate of images [Hz]; by default the rate that the film states. A TIFF states none."""
+    """Rate of images [Hz]. By default, the rate that the file states. A TIFF file states none."""
 
     @property
     def shown(self) -> str:
-        """The path."""
+        """The path of the video file, for display."""
         return self.path
 
 
 class MjpegSource(PictureSource):
-    """A network camera: JPEG pictures in one endless HTTP answer (multipart/x-mixed-replace)."""
+    """A source of images: a network camera that sends JPEG images over HTTP without end (MJPEG)."""
 
     feed: ClassVar[str] = "tetractl_microscope.pictures.source:MjpegFeed"
     type: Literal["mjpeg"]
@@ -137,42 +147,46 @@ class MjpegSource(PictureSource):
 
     @property
     def shown(self) -> str:
-        """The address."""
+        """The address of the stream, for display."""
         return self.url
 
 
 class MicroManagerSource(PictureSource):
-    """A microscope's camera through Micro-Manager; not tested with a real camera."""
+    """A source of images: a microscope's camera, read through Micro-Manager.
+
+    It was not tested with a real camera.
+    """
 
     feed: ClassVar[str] = "tetractl_microscope.pictures.micro_manager:MicroManagerFeed"
     type: Literal["micromanager"]
     config: str = Field(min_length=1, max_length=500)
     """The configuration file that Micro-Manager's wizard wrote. Its device adapters are taken from
-    the folder where Micro-Manager is installed; the environment variable MICROMANAGER_PATH names
-    another folder. A field with a slash or backslash is refused. The camera alone is enough.
+    the folder where Micro-Manager is installed. The environment variable MICROMANAGER_PATH names
+    another folder. A field with a slash or backslash is refused. The configuration only needs the
+    camera.
     """
 
     @property
     def shown(self) -> str:
-        """The configuration file."""
+        """The path of the configuration file, for display."""
         return self.config
 
 
 class PictureSection(CameraSection):
-    """A camera that searches the images of its `source`."""
+    """A camera in a spec that finds robots or cells in the images of its `source`."""
 
     source: Annotated[PictureSource, KindSection(PICTURE_SOURCES, PictureSource)]
-    """Source of the images."""
+    """The source of the images."""
     latency: NonNegative = 0.05
-    """Time from exposure to arrival of an image [s]; sources do not report it."""
+    """Time from the exposure to the arrival of an image [s]. Sources do not report this time."""
     connect: Positive = 5.0
     """Maximum time to wait for the source to open, and then for the first image [s]."""
 
     def bounds(self) -> dict[str, str]:
-        """Describe the source of the images for display."""
+        """Return the source of the images for display: {"camera": text}."""
         return {"camera": self.source_name}
 
     @property
     def source_name(self) -> str:
-        """Name of the source for display, such as its address."""
+        """A short description of the source for display, such as its address."""
         return self.source.shown

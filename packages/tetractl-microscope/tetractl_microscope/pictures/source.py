@@ -26,7 +26,7 @@ from tetractl.core.protocols import EMULATED_NAME
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.multipart import Multipart
 from tetractl_microscope.pictures.picture_section import (
-    PIXELS_MAX,
+    IMAGE_SIDE_MAX_PX,
     DeviceSource,
     FileSource,
     MjpegSource,
@@ -64,7 +64,7 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> GreyImage 
     # marker the decoder waits for the missing codes, and Pillow raises
     try:
         jpeg = JpegImageFile(io.BytesIO(content[:end_index] + NO_CODE))
-        has_size = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
+        has_size = max(jpeg.size) <= IMAGE_SIDE_MAX_PX if size is None else jpeg.size == size[::-1]
         if not has_size:
             return None
         jpeg.draft("L", jpeg.size)

@@ -1,1 +1,1 @@
-"""Tracks of cells by other programs: reads them and estimates speeds and responses to the field."""
+"""Cell tracks from other programs: reads them, and estimates the cells' speeds and responses."""

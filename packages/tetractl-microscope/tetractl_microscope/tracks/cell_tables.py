@@ -1,4 +1,4 @@
-"""Creates the tables of cells from the record that `tetractl track --json` prints."""
+"""Creates tables of the measured cells from the record that `tetractl track --json` prints."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,16 +21,16 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A quantity of each cell.
+    """A quantity that is measured for each cell, and how tables show it.
 
     Attributes:
-        name: Its name in data files.
-        unit: Its unit.
+        name: Name of the quantity in data files.
+        unit: Unit of the quantity. Empty if it has none.
         heading: Its heading in printed tables. Empty if it is only in data files.
-        decimals: Its decimals in printed tables.
+        decimals: Number of decimals in printed tables.
         averaged: Whether the mean over the cells is printed.
-        interval: Whether it has an interval. It then is {"value": ..., "ci95": [low, high]} in the
-            record.
+        interval: Whether the quantity has an interval. Its entry in the record then has the form
+            {"value": ..., "ci95": [low, high]}.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Quantity:
 
     @property
     def key(self) -> str:
-        """The name of the quantity in JSON, which ends in its unit."""
+        """The key of the quantity in JSON: its name and its unit, such as "speed_um_s"."""
         return Column(self.name, (), self.unit).key.lower()
 
 
@@ -61,13 +61,13 @@ QUANTITIES = (
     Quantity("bias", "rad", "bias", 2, interval=True),
     Quantity("magnetised", "", "magnet", averaged=False),
 )
-"""The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
+"""The quantities that are measured for each cell, in the order of the columns."""
 RESPONSE_KEYS = "a_rad_s", "bias_rad"
-"""Quantities whose means are over the cells that respond to the field."""
+"""Keys of the quantities that are averaged only over cells that respond to the field."""
 
 
 def cell_tables(record: Record) -> list[Table]:
-    """Create the tables to print: one row for each cell, and the mean of each quantity.
+    """Create the printed tables of cells: one row for each cell, and the mean of each quantity.
 
     Columns without any value are left out, and so are the means of fewer than two cells.
     """
@@ -83,7 +83,7 @@ def cell_tables(record: Record) -> list[Table]:
 
 
 def format_entry(entry: Any, decimals: int) -> str:
-    """Format an entry of a cell, with its 95 % interval in brackets if it has one.
+    """Format a cell's value of one quantity, with the 95 % interval in brackets if it has one.
 
     True and False become "yes" and "no".
     """
@@ -96,24 +96,24 @@ def format_entry(entry: Any, decimals: int) -> str:
 
 
 def value_of(entry: Any) -> float | None:
-    """Extract the value of an entry of a cell, with or without an interval.
+    """Extract a cell's value of one quantity from an entry with or without an interval.
 
-    None if it is unknown.
+    The result is None if the value is unknown.
     """
     return entry["value"] if isinstance(entry, Mapping) else entry
 
 
 def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
-    """Find the cells for which a quantity is known.
+    """Find the cells for which a quantity is known, and the values of this quantity.
 
     For a and bias, only cells that respond to the field count.
 
     Args:
-        cells: The cells.
-        key: The quantity's name in JSON.
+        cells: The records of the cells.
+        key: Key of the quantity in JSON.
 
     Returns:
-        These cells, and their values.
+        The records of these cells, and their values.
     """
     responding = [cell for cell in cells if key not in RESPONSE_KEYS or cell.get("magnetised")]
     with_values = [(cell, value_of(cell.get(key))) for cell in responding]
@@ -122,7 +122,7 @@ def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[
 
 
 def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
-    """Describe values of cells, weighted by the time for which each cell was seen.
+    """Compute the mean of cells' values, weighted by the time for which each cell was seen.
 
     A cell that was tracked under several numbers in turn occurs several times in `cells`.
     Therefore, n is the maximum number of cells that were seen at once, and the interval is that of
@@ -130,7 +130,7 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     is NaN. Median, range and tail are always unknown.
 
     Args:
-        cells: One or more cells.
+        cells: The records of one or more cells.
         values: The value of each cell.
     """
     durations_s = np.array([cell["duration_s"] for cell in cells])
@@ -156,10 +156,10 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
 
 
 def mean_tables(cells: list[Record]) -> list[Table]:
-    """Create the table of means over cells, with n, 95 % intervals and standard deviations.
+    """Create the table of each quantity's mean over the cells, with its 95 % interval.
 
-    The list is empty for fewer than two cells, or if no cell has a value. Quantities without
-    any value have no row.
+    The result is an empty list for fewer than two cells, or if no cell has a value. Quantities
+    without any value have no row.
     """
     rows = []
     for quantity in QUANTITIES if len(cells) > 1 else ():
@@ -182,9 +182,10 @@ def mean_tables(cells: list[Record]) -> list[Table]:
 
 
 def cell_data(record: Record) -> Table:
-    """Create the data table: one row per swimming cell, with two columns for each interval.
+    """Create the table for data files: one row for each cell, and two columns for each interval.
 
-    The two columns are the lower and the upper end. Unknown values and ends are None.
+    The two columns are the lower and the upper end of the interval. Unknown values and ends are
+    None.
     """
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]

@@ -1,4 +1,4 @@
-"""Reads the direction of the field over time from a CSV file."""
+"""Reads the direction of the magnetic field over time from a CSV file, and checks it."""
 
 import math
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from tetractl.tools.table.quantities import (
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import describe_wrong_sides, find_handedness
-from tetractl_microscope.one_recording import Span, clock_remark, refuse_times_apart
+from tetractl_microscope.one_recording import FileSpan, describe_clock_mismatch, refuse_times_apart
 
 STRENGTH_COLUMN = "strength"
 STRENGTH_MAX = 100.0  # maximum strength of a field, relative to the reference field
 
 
-def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
-    """Warn if the directions of the field seem to be mirrored or rotated.
+def describe_wrong_directions(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
+    """Describe how the directions of the field seem to be mirrored or rotated, if they do.
 
-    This is inferred from the turning of the cells.
+    The turning of the cells shows this.
 
     Args:
         field: The field.
@@ -47,10 +47,10 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
     return tuple(f"warning: {line}" for line in lines)
 
 
-def clock_remarks(
+def describe_clock_mismatches(
     field: FieldRecord, source: str, tracks: str, start_s: float, end_s: float
 ) -> tuple[str, ...]:
-    """Warn if the times of the field hardly overlap with the times of the tracks.
+    """Describe how the times of the field and of the tracks seem to come from different clocks.
 
     Args:
         field: The field.
@@ -60,21 +60,25 @@ def clock_remarks(
         end_s: When the tracks end [s].
 
     Raises:
-        UsageError: If they do not overlap at all.
+        UsageError: If the times do not overlap at all.
+
+    Returns:
+        One warning, or none.
     """
-    tracks_span = Span(tracks, start_s, end_s)
-    field_span = Span(source, float(field.times[0]), math.inf)
+    tracks_span = FileSpan(tracks, start_s, end_s)
+    field_span = FileSpan(source, float(field.times[0]), math.inf)
     # cells swim all the time
-    covered = (end_s - max(start_s, field_span.begin)) / max(end_s - start_s, 1e-9)
+    covered = (end_s - max(start_s, field_span.begin_s)) / max(end_s - start_s, 1e-9)
     refuse_times_apart(tracks_span, field.times, field_span)
-    remark = clock_remark(tracks_span, field.times, field_span, covered)
+    remark = describe_clock_mismatch(tracks_span, field.times, field_span, covered)
     return () if remark is None else (f"warning: {remark}",)
 
 
 def _missing_column_error(path: Path, name: str, headers: Sequence[str]) -> UsageError:
-    """Create the error for a table without a required column. It shows the first eight columns.
+    """Create the error for a table without a required column.
 
-    If there are no columns, it says that the file has no rows.
+    The message names the first eight columns. If there are no columns, it reports that the file has
+    no rows.
     """
     if not headers:
         return UsageError(f"{path}: the file has no rows below its header")
@@ -83,7 +87,7 @@ def _missing_column_error(path: Path, name: str, headers: Sequence[str]) -> Usag
 
 
 def no_field(start_s: float, end_s: float) -> Sequence[Piece]:
-    """Return one interval without a field, from `start_s` to `end_s` [s]."""
+    """Return the interval from `start_s` to `end_s` [s] as one piece without a field."""
     return ((end_s - start_s, 0.0, 0.0),)
 
 

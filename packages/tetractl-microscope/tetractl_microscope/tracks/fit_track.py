@@ -1,4 +1,4 @@
-"""Estimates the speed, turning rate and bias of each tracked cell, with 95 % intervals.
+"""Estimates the speed, turning rate and heading bias of each tracked cell, with 95 % intervals.
 
 The filter of `cells.helix` is run over each track. It starts from the most likely of several
 helices and headings. A second pass starts from the smoothed state of the first pass, if that is
@@ -72,9 +72,9 @@ class CellPath:
     """The track of one cell.
 
     Attributes:
-        number: The track's number in the table.
+        number: Number of the track in the table.
         times: Times of the images, shape (K,) [s].
-        places: Places in these images, shape (K, 2) [um], y upwards.
+        places: Positions in these images, shape (K, 2) [um], with y pointing up.
     """
 
     number: int
@@ -89,7 +89,9 @@ class CellPath:
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """The results for one cell, keyed by the names in `cell_tables.QUANTITIES`.
+    """The speed, helix and response that were estimated for one cell.
+
+    The attributes have the names of the keys in `cell_tables.QUANTITIES`.
 
     A cell whose track is too short, or whose images are too rare, is not fitted: its speed and
     response are None, and the numbers of its helix are NaN.
@@ -194,14 +196,17 @@ class _MeasuredTrack:
     def from_path(
         cls, path: CellPath, organism: Organism, field: FieldRecord | None
     ) -> Self | None:
-        """Return the measurements of a track. None if it has too few places.
+        """Compute the measurements of a track and the first state of the filter.
 
         The standard deviation of the places comes from their scatter about a smooth path.
 
         Args:
             path: The track.
             organism: The organism.
-            field: The field. None if it is unknown.
+            field: The field over time. None if it is unknown.
+
+        Returns:
+            The measurements. None if the track has too few positions.
         """
         n_images = len(path.times)
         if n_images <= max(DIFFERENCE_ORDER, START_PLACES_MIN):
@@ -285,7 +290,7 @@ class _MeasuredTrack:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """The fit of one cell.
+    """The states of one cell that were fitted to its track.
 
     Attributes:
         mean: The last state, shape (n,).

@@ -1,7 +1,7 @@
-"""Reads tracks that other programs have written.
+"""Reads tracks of cells that other programs have written.
 
-It reads the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual Tracking and Imaris, and
-GEFF graphs.
+The module reads the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual Tracking and
+Imaris, and GEFF graphs.
 """
 
 import math
@@ -31,15 +31,15 @@ COLUMNS_SHOWN = 8
 POSES_MAX = 2_000_000
 """Maximum number of positions that are read."""
 AXIS_NAMES = (("t", "time", "frame"), ("x",), ("y",))
-"""Possible names of the axes of a graph whose axes have no types: time, x and y."""
+"""Possible names of the axes of time, x and y in a graph whose axes have no types."""
 SPARSE_STEP_MIN = 10
-"""Minimum common step of image numbers for a warning. Such numbers may be times in ms."""
+"""Minimum common step of image numbers for a warning that they may be times in ms."""
 ERROR_CHARACTERS_MAX = 200
 """Maximum number of characters of an error of the library geff that are shown."""
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
-"""Units of lengths [um]."""
+"""Length of each unit [um]."""
 PIXELS = ("", "px", "pixel", "pixels")
-"""Units of positions that need a scale."""
+"""Units of positions that need a scale to be converted to um."""
 
 
 def _is_count(unit: str) -> bool:
@@ -67,14 +67,15 @@ COLUMNS = {
     "x": (("x", "position_x"), _is_place),
     "y": (("y", "position_y"), _is_place),
 }
-"""The names of each column in tables of other programs, before its unit, and the units it may have.
+"""For each quantity, the names of its column in tables of other programs, and a check of its unit.
 
-The first name that a table has counts, because spots also have their own id.
+A name excludes the unit. The first name in this order that a table contains is used, because spots
+also have their own id.
 """
 HAS_WORD_ROWS = "position_x"
-"""A column by which TrackMate's tables are recognised.
+"""Name of a column by which TrackMate's tables are recognised.
 
-They have rows of words below the header. The last of these rows states the units.
+These tables have rows of words below the header. The last of these rows states the units.
 """
 
 
@@ -83,8 +84,8 @@ class AxisStep:
     """The meaning of one unit along an axis of a file.
 
     Attributes:
-        size: Its size [um or s]. None if it is not stated.
-        counted: Whether numbers count pixels or images. Then an option may state the size.
+        size: Size of one unit [um or s]. None if the file does not state it.
+        counted: Whether the numbers count pixels or images. An option may then state the size.
     """
 
     size: float | None = None
@@ -92,7 +93,7 @@ class AxisStep:
 
 
 TRACK_MAX = 2.0**53
-"""Maximum number of a track. Imaris counts tracks from 1e9."""
+"""Maximum number of a track. Imaris counts tracks from 1e9, and floats are exact up to 2^53."""
 COUNTED_FROM_ONE = "images are numbered from 1; image 1 is taken as the first of the video, at 0 s"
 
 
@@ -115,11 +116,12 @@ class SpotTable:
 
 @dataclass(frozen=True, slots=True)
 class SpotTrack:
-    """A track of another program.
+    """The track of one cell that another program has found.
 
     Attributes:
-        number: Its number.
-        rows: Time [s], x and y [um], y pointing up, shape (K, 3), in the order of time.
+        number: Number of the track in the file.
+        rows: Time [s], x and y [um] of each position, with y pointing up, shape (K, 3), in the
+            order of time.
     """
 
     number: float
@@ -129,7 +131,7 @@ class SpotTrack:
 def spot_tracks(
     path: Path, um_px: float | None, rate_hz: float | None, remarks: list[str]
 ) -> list[SpotTrack]:
-    """Read the tracks in a table or graph of another program.
+    """Read the tracks of cells from a table or a graph of another program.
 
     Positions are usually in pixels, with y pointing down, and times are image numbers. Such tables
     need a scale and a rate, unless they contain them.
@@ -171,7 +173,7 @@ def spot_tracks(
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
-    """Read the spots of the tracks in a table.
+    """Read the spots of all tracks from a table of another program.
 
     The times come from a column with a unit of time. Without such a column, or if a rate is given,
     they are image numbers, counted from the first image.
@@ -321,7 +323,7 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
 
 
 def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:
-    """Return image indices that start at 0, so that the first image is taken at time 0.
+    """Count images from 0 if a table counts them from 1, so that the first image is at time 0.
 
     Programs that count from 0 almost always find something in that image. A table without 0
     therefore counts from 1.
@@ -333,10 +335,10 @@ def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Float
 
 
 def _warn_if_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
-    """Warn if the common step of all image numbers is at least SPARSE_STEP_MIN.
+    """Add a warning to `remarks` if image numbers increase in steps of at least SPARSE_STEP_MIN.
 
-    Such numbers may be milliseconds. They are counted from the first image. The warning is added
-    to `remarks`.
+    Such numbers may be milliseconds. The step is the greatest common divisor of all differences
+    from the first image number.
     """
     after_first = (frames - frames.min()).astype(np.int64)
     step = int(np.gcd.reduce(after_first))
@@ -351,10 +353,10 @@ def _warn_if_sparse(path: Path, column: str, frames: Floats, remarks: list[str])
 def _warn_of_other_times(
     path: Path, stated: Floats, times: Floats, rate_hz: float, remarks: list[str]
 ) -> None:
-    """Add a warning to `remarks` if the times (R,) [s] of a table differ from those of --rate.
+    """Add a warning to `remarks` if the times in a table disagree with the option --rate.
 
-    They must differ by more than half the time between two images. Both are counted from their
-    first time.
+    The times (R,) [s] disagree if they differ by more than half the time between two images. Both
+    are counted from their first time.
     """
     difference_max_s = float(np.abs((stated - stated[0]) - (times - times[0])).max())
     if difference_max_s > 0.5 / rate_hz:
@@ -365,10 +367,15 @@ def _warn_of_other_times(
 
 
 def _require_one_place(path: Path, number: float, times: Floats) -> None:
-    """Check that a track has only one position at each time. `times` (K,) rises or repeats [s].
+    """Check that a track has only one position at each time.
+
+    Args:
+        path: The file, for the message.
+        number: Number of the track.
+        times: Times of its positions in order, shape (K,) [s].
 
     Raises:
-        UsageError: If it has two at one time.
+        UsageError: If the track has two positions at one time.
     """
     is_repeated = np.diff(times) == 0
     if is_repeated.any():
@@ -382,7 +389,17 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
 def _unit_size(
     path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
-    """Return the size of one unit of a column [um or s]. An option has priority over the table.
+    """Find the size of one unit of a column [um or s], from an option or from the table.
+
+    Args:
+        path: The file, for the message.
+        option: Name of the option that states the size.
+        states: What the file states if the column has a unit, for the message.
+        stated: Value of the option. None if the option is not given.
+        step: The meaning of one unit of the column in the file.
+
+    Returns:
+        The size. None if neither the option nor the file states it.
 
     Raises:
         UsageError: If the option is given, but the column has a unit.
@@ -396,9 +413,10 @@ def _unit_size(
 
 
 def _read_graph(path: Path) -> SpotTable:
-    """Read the spots of a GEFF graph. Time, x and y are found by the types of its axes.
+    """Read the spots of all tracks from a GEFF graph.
 
-    A track begins at a node that has no predecessor, or whose predecessor has several successors.
+    Time, x and y are found by the types of the graph's axes. A track begins at a node that has no
+    predecessor, or whose predecessor has several successors.
 
     Raises:
         UsageError: If the graph cannot be read.
@@ -448,9 +466,10 @@ def _read_graph(path: Path) -> SpotTable:
 
 
 def _problem_of(error: Exception) -> str:
-    """Describe an error of a library in one line of at most ERROR_CHARACTERS_MAX characters.
+    """Describe an error of a library in one short line.
 
-    If it is an error of pydantic, only its first problem is described.
+    The line has at most ERROR_CHARACTERS_MAX characters. If the error comes from pydantic, only its
+    first problem is described.
     """
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):
@@ -465,11 +484,12 @@ def _problem_of(error: Exception) -> str:
 
 
 def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
-    """Find the axes of time, x and y.
+    """Find the axes of time, x and y of a GEFF graph.
 
-    They are found by the types in the metadata, or else by the names of axes or, without axes, of
-    properties: t or time, x and y. In space, x and y are the axes whose names end so, or else the
-    last two: images have the order y, x.
+    The axes are found by their types in the metadata. If they have no types, they are found by
+    their names, or by the names of properties if the metadata contains no axes (see AXIS_NAMES).
+    Among several space axes, x and y are the axes whose names end in x and y. If no names do, they
+    are the last two axes, because images have the order y, x.
     """
     time_axes = [axis for axis in stated if axis.type == "time"]
     space_axes = [axis for axis in stated if axis.type == "space"]
@@ -500,9 +520,9 @@ def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
 
 def _axis_step(axis: Any, units: Mapping[str, float]) -> AxisStep:
-    """Return the length of one unit along an axis of a graph, as its units state it.
+    """Find the size of one unit along an axis of a GEFF graph from its scale and units.
 
-    The length is None if no unit is known.
+    The size is None if no unit is known.
     """
     scaled = find_factor(axis.scaled_unit or "", units)
     if scaled is not None and axis.scale:

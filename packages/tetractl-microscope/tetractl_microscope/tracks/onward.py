@@ -1,4 +1,4 @@
-"""Decides whether objects swim, or only diffuse like beads in water.
+"""Decides whether tracked objects swim, or only diffuse like beads in water.
 
 Over a time t, the mean square displacement of a swimmer grows with t^2, and that of a bead with t.
 Let a and b be displacements over two successive times of equal length. Then
@@ -19,34 +19,35 @@ import numpy as np
 from tetractl.core.poses import Floats
 
 COSINE_MIN = 0.5
-"""Mean cosine between successive displacements below which objects go to and fro.
+"""Minimum mean cosine between successive displacements of an object that keeps its direction.
 
-Long displacements count most. Beads in water have .23, Euglena .78, Paramecium .92.
+The mean is weighted by the lengths of the displacements. Beads in water have a mean cosine of .23,
+Euglena of .78, Paramecium of .92.
 """
 KEEPING_FRACTION_MIN = 1 / 3
-"""Fraction of objects that keep going below which hardly any does.
+"""Minimum fraction of objects that must keep their direction. Below it, nothing seems to swim.
 
-Of 2,000 simulated beads, seen in 20 to 40 images, .00 to .21 seem to keep going if a step is at
-least a tenth of their length. Of slower beads, up to .57 do, but few of these are examined, because
-most do not get MOVED lengths away.
+In a simulation of 2,000 beads, seen in 20 to 40 images, a fraction of .00 to .21 seems to keep its
+direction if a step is at least a tenth of a bead's length. Up to .57 of slower beads do, but few of
+these are examined, because most do not move far enough.
 """
 DISPLACEMENT_MAX_S = 1.0
-"""Maximum time of a displacement of a track that is tried [s].
+"""Maximum duration of the displacements that are compared [s].
 
-Over longer times, swimmers turn; over shorter ones, positions scatter.
+Over longer times, swimmers turn. Over shorter times, the scatter of positions dominates.
 """
 PAIRS_MIN = 10
-"""Minimum number of independent pairs of displacements for a cosine."""
+"""Minimum number of independent pairs of displacements for a mean cosine."""
 STEP_SCATTER_MAX = 0.2
 """Maximum relative scatter of the lengths of steps that count as equally long.
 
-It is their standard deviation from image to image, divided by their mean. Of simulated tracks of 40
-steps, 2,000 of each kind, beads have .28 or more, and beads whose long steps a program does not
-link .23 or more. Swimmers that turn by 2.2 rad/s, filmed at 1 Hz, have .09 or less, and .13 to .31
-if their speed varies by a fifth.
+The relative scatter is the standard deviation of the lengths from image to image, divided by their
+mean. In simulations of 2,000 tracks of 40 steps for each kind of object, beads have .28 or more,
+and beads whose long steps a tracking program does not link have .23 or more. Swimmers that turn by
+2.2 rad/s, filmed at 1 Hz, have .09 or less, or .13 to .31 if their speed varies by a fifth.
 """
 STEPS_MIN = 40
-"""Minimum number of steps for that finding."""
+"""Minimum number of steps of a track for a check whether its steps are equally long."""
 TO_AND_FRO = "nothing swims: everything that moves goes back and forth, as beads do"
 
 
@@ -84,7 +85,7 @@ def measure_persistence(places: Floats, n_steps: int) -> Persistence:
 
 
 def hardly_any_keeps_direction(keeps_direction: Sequence[bool]) -> bool:
-    """Check whether fewer than KEEPING_FRACTION_MIN of some objects keep their direction.
+    """Check whether less than a fraction KEEPING_FRACTION_MIN of some objects keep their direction.
 
     Args:
         keeps_direction: For each object, whether it keeps its direction. If there is no object,
@@ -94,9 +95,14 @@ def hardly_any_keeps_direction(keeps_direction: Sequence[bool]) -> bool:
 
 
 def track_keeps_direction(times: Floats, places: Floats) -> bool:
-    """Check whether a track keeps its direction, or has steps of equal length.
+    """Check whether a tracked object swims: it keeps its direction, or its steps are equally long.
 
-    The direction is compared over the time in which its displacements are most similar.
+    The directions of displacements over several durations are compared. One duration over which the
+    object keeps its direction is enough.
+
+    Args:
+        times: Times [s], shape (K,).
+        places: Positions, shape (K, 2).
     """
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     if len(lengths) >= STEPS_MIN and lengths.std() < STEP_SCATTER_MAX * lengths.mean():

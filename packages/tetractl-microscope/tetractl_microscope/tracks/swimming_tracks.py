@@ -1,4 +1,4 @@
-"""Selects the tracks of swimming cells in a table of another program, and describes them."""
+"""Selects the tracks of swimming cells from a table of another program, and measures the cells."""
 
 import math
 from collections.abc import Sequence
@@ -21,30 +21,37 @@ from tetractl_microscope.tracks.onward import (
     track_keeps_direction,
 )
 
-SHORTEST_S = 2.0
-"""Minimum duration of a track of which a speed is stated [s]."""
+TRACK_DURATION_MIN_S = 2.0
+"""Minimum duration of a track [s]. The speed of a shorter track is not estimated."""
 COURSE_S = 0.3
-"""Time over which a direction of motion is known [s]: less is a part of a turn of the helix."""
-TOGETHER = 3.0
-"""Minimum ratio of the cells' common velocity to each cell's own velocity at which a stage moves.
+"""Time over which a direction of motion is measured [s].
+
+Over less time, it would only be the direction of a part of the helix along which a cell swims.
+"""
+COMMON_MOTION_RATIO_MIN = 3.0
+"""Minimum ratio of the cells' common speed to their own speeds at which a moving stage is reported.
 
 Eight cells that swim in independent directions reached it in 22 of 10,000 samples.
 """
-TOGETHER_MIN = 8
-"""Minimum number of cells for that finding."""
-STRAIGHT = 0.7
-TURNS_ABOUT = 0.5
-"""Maximum length of the mean of a field's unit vectors, for a field that turns about.
+STAGE_CELLS_MIN = 8
+"""Minimum number of cells for a report that the stage moves."""
+FLOW_STRAIGHTNESS_MIN = 0.7
+"""Minimum ratio of the cells' common speed to their speed along the path, if a flow carries them.
 
-`STRAIGHT` is the minimum net displacement of cells that a flow carries, as a fraction of their
-path.
+Cells that follow a field change direction with it, so their ratio is lower.
 """
-STRAIGHTER = 0.9
-"""Minimum ratio of the upper limit of a cell's speed along its helix to its VSL.
+MEAN_FIELD_MAX = 0.5
+"""Maximum length of the mean of the field's unit vectors at which the field turns enough.
+
+If the field mostly points to one side, cells move together because they follow it. Their common
+motion then does not show that the stage moves.
+"""
+HELIX_SPEED_RATIO_MIN = 0.9
+"""Minimum ratio of the upper limit of a cell's speed along its helix to its straight-line velocity.
 
 Below it, the cell turns by itself, and the fit of the helix is not valid.
 """
-OF_THE_HELIX = (
+HELIX_KEYS = (
     "speed_um_s",
     "speed_sd_um_s",
     "path_um",
@@ -55,20 +62,20 @@ OF_THE_HELIX = (
     "bias_rad",
     "magnetised",
 )
-"""Values that are set to None for a cell that turns by itself."""
-SPEED_S = 1.0
-"""Time over which speeds are measured, to choose the organism with the most similar speed [s]."""
+"""Keys of the values that are set to None for a cell that turns by itself."""
+SPEED_WINDOW_S = 1.0
+"""Time over which a cell's speed is measured, to find the most similar organism [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellTracks:
-    """The tracks of swimming cells in a table of another program.
+    """The tracks of swimming cells, selected from a table of another program.
 
     Attributes:
-        paths: The tracks.
-        period_s: Usual time between two images [s].
+        paths: The tracks of the swimming cells.
+        period_s: Median time between two images [s].
         span_s: Times of the first and of the last image [s].
-        remarks: Lines for the user about the tracks that are left out.
+        remarks: Messages for the user about tracks that were left out.
     """
 
     paths: tuple[CellPath, ...]
@@ -77,26 +84,35 @@ class CellTracks:
     remarks: tuple[str, ...]
 
 
-def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool) -> CellTracks:
-    """Select the tracks of swimming cells from tracks that are seen for SHORTEST_S.
+def select_swimming_tracks(
+    source: Path, tracks: Sequence[SpotTrack], with_field: bool
+) -> CellTracks:
+    """Select the tracks of swimming cells, and leave out short tracks and those of drifting beads.
+
+    A track is short if it lasts less than TRACK_DURATION_MIN_S. A swimming cell keeps its
+    direction, while a bead goes back and forth.
 
     Args:
-        source: The file of the tracks.
+        source: The file of the tracks, for messages.
         tracks: All tracks.
-        with_field: Whether the field is known.
+        with_field: Whether the field is known. The images must then be frequent enough to show the
+            cells' headings.
 
     Raises:
-        UsageError: If there is none, or, with a field, if images are too rare.
+        UsageError: If every track is short, or if images are too rare for a known field.
         TetractlError: If hardly any cell keeps its direction.
     """
-    long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= SHORTEST_S]
-    brief = [f"{track.number:.0f}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]
+    long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= TRACK_DURATION_MIN_S]
+    short_names = [
+        f"{track.number:.0f}" for track in tracks if np.ptp(track.rows[:, 0]) < TRACK_DURATION_MIN_S
+    ]
     if not long_tracks:
-        raise UsageError(f"{source}: no cell was seen for {SHORTEST_S:g} s")
+        raise UsageError(f"{source}: no cell was seen for {TRACK_DURATION_MIN_S:g} s")
     remarks = list[str]()
-    if brief:
+    if short_names:
         remarks.append(
-            f"left out, because they were seen for less than {SHORTEST_S:g} s: {_cells(brief)}"
+            f"left out, because they were seen for less than {TRACK_DURATION_MIN_S:g} s: "
+            f"{_list_cells(short_names)}"
         )
     gaps_s = np.concatenate([np.diff(track.rows[:, 0]) for track in long_tracks])
     period_s = float(np.median(gaps_s))
@@ -107,25 +123,28 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
             f"film at {math.ceil(IMAGE_RATE_MIN_HZ)} images/s or more; if the times are in ms, "
             "name their column time_ms",
         )
-    going_on = [track_keeps_direction(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
-    if hardly_any_keeps_direction(going_on):
+    keeps_direction = [
+        track_keeps_direction(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks
+    ]
+    if hardly_any_keeps_direction(keeps_direction):
         raise TetractlError(
             f"{source}: {TO_AND_FRO}",
             "give tracks of swimming cells: a swimming cell moves "
             "on, and does not return to its place within seconds",
         )
-    to_and_fro = [
+    bead_names = [
         f"{track.number:.0f}"
-        for track, goes_on in zip(long_tracks, going_on, strict=True)
-        if not goes_on
+        for track, keeps_on in zip(long_tracks, keeps_direction, strict=True)
+        if not keeps_on
     ]
-    if to_and_fro:
+    if bead_names:
         remarks.append(
-            f"warning: left out, because they go back and forth, as beads do: {_cells(to_and_fro)}"
+            "warning: left out, because they go back and forth, as beads do: "
+            f"{_list_cells(bead_names)}"
         )
-    swimming = compress(long_tracks, going_on)
+    swimmers = compress(long_tracks, keeps_direction)
     paths = tuple(
-        CellPath(round(track.number), track.rows[:, 0], track.rows[:, 1:]) for track in swimming
+        CellPath(round(track.number), track.rows[:, 0], track.rows[:, 1:]) for track in swimmers
     )
     first_s = min(float(track.rows[0, 0]) for track in long_tracks)
     last_s = max(float(track.rows[-1, 0]) for track in long_tracks)
@@ -133,78 +152,91 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
 
 
 def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -> tuple[str, ...]:
-    """Return a warning if all cells move together, as objects do on a moving stage.
+    """Warn if all cells move together, as objects do on a moving stage or in a flow.
 
     Without a field, each cell swims in its own direction, so the mean of their velocities is small.
     In a field that turns, cells move together, but never to one side for long.
+
+    Args:
+        paths: The tracks of the cells.
+        field: The field over time. None if it is unknown.
+
+    Returns:
+        One warning, or none.
     """
     velocities = np.array(
         [(p.places[-1] - p.places[0]) / (p.times[-1] - p.times[0]) for p in paths]
     )
-    if len(velocities) < TOGETHER_MIN:
+    if len(velocities) < STAGE_CELLS_MIN:
         return ()
-    common = np.median(velocities, axis=0)
-    speed_um_s = float(np.hypot(*common))
-    own_um_s = float(np.median(np.linalg.norm(velocities - common, axis=1)))
-    if speed_um_s < TOGETHER * own_um_s:
+    common_velocity = np.median(velocities, axis=0)
+    common_speed_um_s = float(np.hypot(*common_velocity))
+    own_speed_um_s = float(np.median(np.linalg.norm(velocities - common_velocity, axis=1)))
+    if common_speed_um_s < COMMON_MOTION_RATIO_MIN * own_speed_um_s:
         return ()
     if field is not None:
-        pace_um_s = float(np.median([_speed_um_s(path) for path in paths]))
-        straight = speed_um_s / pace_um_s
+        swimming_speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
+        straightness = common_speed_um_s / swimming_speed_um_s
         times = np.unique(np.concatenate([path.times for path in paths]))
-        to_a_side = abs(np.mean(np.sign(field.at(times))))
-        if straight < STRAIGHT or to_a_side > TURNS_ABOUT:
+        mean_field = abs(np.mean(np.sign(field.at(times))))
+        if straightness < FLOW_STRAIGHTNESS_MIN or mean_field > MEAN_FIELD_MAX:
             return ()
-    of_field = "" if field is None else ", and no a is fitted"
+    fit_note = "" if field is None else ", and no a is fitted"
     return (
         (
-            f"warning: all cells move together at {speed_um_s:.0f} um/s, in addition to "
-            f"{own_um_s:.0f} um/s of their own: does the stage move, or does the medium flow? "
+            f"warning: all cells move together at {common_speed_um_s:.0f} um/s, in addition to "
+            f"{own_speed_um_s:.0f} um/s of their own: does the stage move, or does the medium "
+            "flow? "
             "Their speeds include this common motion"
         )
-        + of_field,
+        + fit_note,
     )
 
 
-def _cells(names: Sequence[str]) -> str:
+def _list_cells(names: Sequence[str]) -> str:
+    """Format a list of cells, such as "cell 3, cell 7"."""
     return ", ".join(f"cell {name}" for name in names)
 
 
-def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
-    """Find the organism whose speed is most similar to the median speed of the cells.
+def find_organism_by_speed(paths: Sequence[CellPath]) -> Organism:
+    """Find the organism whose usual speed is most similar to the median speed of some cells.
 
-    Speeds are compared by their logarithms, with the middle of each organism's range.
+    The logarithm of the median speed is compared with the middle of each organism's range of
+    logarithmic speeds.
     """
     speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
     log_speed = math.log(speed_um_s)
 
-    def unlike(kind: Organism) -> float:
+    def log_speed_difference(kind: Organism) -> float:
         return abs(log_speed - math.log(math.prod(kind.speed_um_s)) / 2)
 
-    return min(ORGANISMS.load_usable().values(), key=unlike)
+    return min(ORGANISMS.load_usable().values(), key=log_speed_difference)
 
 
 def _speed_um_s(path: CellPath) -> float:
-    """Return the median speed of a cell over SPEED_S seconds, or its whole path if that is shorter.
+    """Compute a cell's median speed over windows of SPEED_WINDOW_S [um/s]. It is never 0.
 
-    The path needs at least two images. The speed is in um/s and never 0.
+    If the track is shorter than the window, the speed is measured over the whole track. The track
+    needs at least two images.
     """
     step_s = float(np.median(np.diff(path.times)))
-    steps = max(1, round(SPEED_S / step_s))
-    steps = min(steps, len(path.times) - 1)
-    ways = np.linalg.norm(path.places[steps:] - path.places[:-steps], axis=1)
-    return max(float(np.median(ways / (path.times[steps:] - path.times[:-steps]))), 1e-9)
+    n_steps = max(1, round(SPEED_WINDOW_S / step_s))
+    n_steps = min(n_steps, len(path.times) - 1)
+    distances_um = np.linalg.norm(path.places[n_steps:] - path.places[:-n_steps], axis=1)
+    return max(
+        float(np.median(distances_um / (path.times[n_steps:] - path.times[:-n_steps]))), 1e-9
+    )
 
 
-def track_record(
+def create_track_record(
     source: Path, cells: CellTracks, organism: Organism, field: FieldRecord | None
 ) -> dict:
-    """Return the record that `tetractl track --json` prints.
+    """Estimate each cell's speed and response, and create the record for `tetractl track --json`.
 
     Args:
-        source: The table of tracks.
-        cells: Its tracks of swimming cells.
-        organism: What swims.
+        source: The table of tracks. The record contains its name.
+        cells: The tracks of the swimming cells.
+        organism: The organism that swims.
         field: The field over time. None if there was none.
     """
     summaries = fit_tracks(cells.paths, organism, field, cells.period_s)
@@ -215,26 +247,26 @@ def track_record(
             "their helix cannot be measured"
         )
     notes = [note]
-    items = [cell.items() for cell in summaries]
-    turning: list[str] = []
-    for item in items:
+    cell_items = [cell.items() for cell in summaries]
+    turning_names: list[str] = []
+    for item in cell_items:
         speed = item["speed_um_s"]
-        # along a helix it is below the velocity along its way
-        if speed is not None and speed["ci95"][1] < STRAIGHTER * item["vsl_um_s"]:
-            item.update(dict.fromkeys(OF_THE_HELIX))
-            turning.append(str(item["cell"]))
-    if turning:
-        names = _cells(turning)
+        # the speed along the axis of a helix is at least the straight-line velocity
+        if speed is not None and speed["ci95"][1] < HELIX_SPEED_RATIO_MIN * item["vsl_um_s"]:
+            item.update(dict.fromkeys(HELIX_KEYS))
+            turning_names.append(str(item["cell"]))
+    if turning_names:
+        listed_names = _list_cells(turning_names)
         notes.append(
             "cells without a speed and an a, because they turn by themselves in a way"
-            f" that no helix explains: {names}"
+            f" that no helix explains: {listed_names}"
         )
     return convert_to_plain(
         {
             "tracks": source.name,
             "rate_hz": 1 / cells.period_s,
             "organism": organism.name,
-            "cells": items,
+            "cells": cell_items,
             "notes": notes,
             "field": None if field is None else field.items(),
         }

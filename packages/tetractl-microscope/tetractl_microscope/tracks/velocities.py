@@ -6,22 +6,22 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 
-WINDOW_S = 1.0  # length of the parts of a track, whose velocities are averaged [s]
+WINDOW_S = 1.0  # duration of the parts of a track whose velocities are averaged [s]
 
 
 def vsl_um_s(times: Floats, places: Floats) -> float | None:
-    """Compute the straight-line velocity of a track [um/s].
+    """Compute the straight-line velocity (VSL) of a cell along its track [um/s].
 
-    This is the VSL of the WHO laboratory manual for the examination of human semen, 6th edition,
+    It is defined in the WHO laboratory manual for the examination of human semen, 6th edition,
     2021. It is the mean over successive parts of WINDOW_S, so that long and short tracks can be
     compared. A shorter track is one part. What remains after the last part does not count.
 
     Args:
         times: Times [s], shape (K,).
-        places: Places [um], shape (K, 2).
+        places: Positions [um], shape (K, 2).
 
     Returns:
-        The velocity. None for a single place.
+        The velocity. None for a single position.
     """
     if len(times) < 2:
         return None
@@ -33,9 +33,9 @@ def vsl_um_s(times: Floats, places: Floats) -> float | None:
 
 
 def _find_part_ends(times: Floats) -> list[int]:
-    """Return the indices of the images at which successive parts of a track end.
+    """Split a track into parts of about WINDOW_S, and return the indices of their end images.
 
-    They are the images nearest to each multiple of WINDOW_S. The first image is included.
+    Each part ends with the image nearest to WINDOW_S after its start. The first image is included.
     """
     step_s = float(np.median(np.diff(times)))
     part_ends = [0]

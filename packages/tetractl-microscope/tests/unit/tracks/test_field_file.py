@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_microscope.tracks.field_file import (
     STRENGTH_MAX,
-    clock_remarks,
+    describe_clock_mismatches,
+    describe_wrong_directions,
     no_field,
     read_field,
-    side_remarks,
 )
 
 from tetractl.core.errors import UsageError
@@ -80,7 +80,7 @@ def test_no_field_lasts_from_start_to_end():
 def remarks(tmp_path, times, begin, end):
     rows = "".join(f"{time},{0.1 * k}\n" for k, time in enumerate(times))
     field = field_of(tmp_path, f"time_s,direction_rad\n{rows}")
-    return clock_remarks(field, "field.csv", "tracks.csv", begin, end)
+    return describe_clock_mismatches(field, "field.csv", "tracks.csv", begin, end)
 
 
 @given(st.floats(0.0, 1e5), st.floats(5.0, 300.0), st.integers(2, 30))
@@ -115,4 +115,4 @@ def test_too_few_cells_show_no_side(tmp_path, cells):
     field = field_of(tmp_path, "time_s,direction_rad\n0,1\n3,2\n")
     times = np.arange(0, 9, 0.1)
     paths = [np.column_stack([times, 10 * times, 3 * times**2]) for _ in range(cells)]
-    assert side_remarks(field, paths) == ()
+    assert describe_wrong_directions(field, paths) == ()

@@ -9,7 +9,7 @@ from tetractl_microscope.sent_directions import (
     courses,
     other_readings,
 )
-from tetractl_microscope.tracks.field_file import read_field, side_remarks
+from tetractl_microscope.tracks.field_file import describe_wrong_directions, read_field
 
 from tetractl.core.errors import UsageError
 
@@ -45,7 +45,7 @@ def test_the_side_of_a_field_file_is_tested_by_the_cells(tmp_path, clockwise, of
         rows = "".join(f"{t},{direction + off}\n" for t, direction in steps)
         (tmp_path / f"{name}.csv").write_text(f"time_s,direction_rad\n{rows}")
     paths = turned_by(read_field(tmp_path / "turned.csv"))
-    said = side_remarks(read_field(tmp_path / "field.csv", clockwise), paths)
+    said = describe_wrong_directions(read_field(tmp_path / "field.csv", clockwise), paths)
     assert len(said) == (says is not None)
     assert all(says in line for line in said)
 
@@ -105,7 +105,7 @@ def test_a_field_whose_times_are_not_the_tracks_is_refused(tmp_path, stated, say
 def test_cells_that_the_field_does_not_turn_say_nothing(tmp_path):
     (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,0\n2,2\n4,1\n")
     field = read_field(tmp_path / "field.csv")
-    assert side_remarks(field, turned_by(field, rates=(0.0, 0.0, 0.0))) == ()
+    assert describe_wrong_directions(field, turned_by(field, rates=(0.0, 0.0, 0.0))) == ()
 
 
 def test_a_field_that_never_changes_shows_no_side(tmp_path):

@@ -10,10 +10,10 @@ from tetractl_microscope.organisms import named
 from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.swimming_tracks import (
-    organism_by_speed,
+    create_track_record,
+    find_organism_by_speed,
+    select_swimming_tracks,
     stage_remarks,
-    swimming_tracks,
-    track_record,
 )
 
 from tetractl.core.errors import TetractlError, UsageError
@@ -35,7 +35,7 @@ def bead(number, seconds=5.0):
 
 def test_tracks_below_2_s_are_left_out_and_named():
     tracks = [swimmer(4, 2.0), swimmer(5, 1.95), swimmer(6, 0.5), swimmer(7, 9.0, begin_s=3.0)]
-    cells = swimming_tracks(SOURCE, tracks, False)
+    cells = select_swimming_tracks(SOURCE, tracks, False)
     assert [path.number for path in cells.paths] == [4, 7]
     (line,) = cells.remarks
     assert line.endswith("less than 2 s: cell 5, cell 6")
@@ -46,18 +46,18 @@ def test_tracks_below_2_s_are_left_out_and_named():
 
 
 def test_swimmers_alone_get_no_remark_and_only_brief_tracks_are_refused():
-    assert swimming_tracks(SOURCE, [swimmer(1), swimmer(2)], True).remarks == ()
+    assert select_swimming_tracks(SOURCE, [swimmer(1), swimmer(2)], True).remarks == ()
     with pytest.raises(UsageError, match=r"tracks.csv: no cell was seen for 2 s"):
-        swimming_tracks(SOURCE, [swimmer(1, 1.9)], False)
+        select_swimming_tracks(SOURCE, [swimmer(1, 1.9)], False)
 
 
 def test_beads_are_named_and_one_in_three_may_swim():
-    cells = swimming_tracks(SOURCE, [bead(3), swimmer(1), bead(5)], False)
+    cells = select_swimming_tracks(SOURCE, [bead(3), swimmer(1), bead(5)], False)
     assert [path.number for path in cells.paths] == [1]
     (line,) = cells.remarks
     assert line.startswith("warning: ") and line.endswith("as beads do: cell 3, cell 5")
     with pytest.raises(TetractlError, match="nothing swims"):
-        swimming_tracks(SOURCE, [bead(3), swimmer(1), bead(5), bead(6)], False)
+        select_swimming_tracks(SOURCE, [bead(3), swimmer(1), bead(5), bead(6)], False)
 
 
 @pytest.mark.parametrize(
@@ -71,10 +71,10 @@ def test_beads_are_named_and_one_in_three_may_swim():
 def test_images_that_are_too_rare_are_refused_only_with_a_field(hz, with_field, refused):
     tracks = [swimmer(1, 20.0, hz=hz)]
     if not refused:
-        assert len(swimming_tracks(SOURCE, tracks, with_field).paths) == 1
+        assert len(select_swimming_tracks(SOURCE, tracks, with_field).paths) == 1
         return
     with pytest.raises(UsageError, match="film at 7 images/s or more"):
-        swimming_tracks(SOURCE, tracks, with_field)
+        select_swimming_tracks(SOURCE, tracks, with_field)
 
 
 def path(number, velocity, wobble_um=0.0, seconds=10.0):
@@ -140,19 +140,21 @@ def test_a_field_whose_strength_varies_is_judged_by_its_directions():
 @pytest.mark.parametrize("hz", [2.0, 20.0, 100.0])
 def test_the_organism_does_not_depend_on_the_rate_of_images(hz):
     cells = [swimmer(k, 5.0, hz=hz, velocity=(88.0, 0.0)) for k in range(3)]
-    paths = swimming_tracks(SOURCE, cells, False).paths
-    assert organism_by_speed(paths).name == "euglena"
+    paths = select_swimming_tracks(SOURCE, cells, False).paths
+    assert find_organism_by_speed(paths).name == "euglena"
 
 
 def test_the_organism_is_that_of_the_middle_cell():
     speeds = (900.0, 88.0, 85.0)
     cells = [swimmer(k, velocity=(0.0, speed)) for k, speed in enumerate(speeds)]
-    assert organism_by_speed(swimming_tracks(SOURCE, cells, False).paths).name == "euglena"
+    assert (
+        find_organism_by_speed(select_swimming_tracks(SOURCE, cells, False).paths).name == "euglena"
+    )
 
 
 def record(tracks, field=None, organism="tetrahymena"):
-    cells = swimming_tracks(SOURCE, tracks, False)
-    return track_record(Path("folder") / SOURCE, cells, named(organism), field)
+    cells = select_swimming_tracks(SOURCE, tracks, False)
+    return create_track_record(Path("folder") / SOURCE, cells, named(organism), field)
 
 
 def test_a_record_says_what_was_fitted():

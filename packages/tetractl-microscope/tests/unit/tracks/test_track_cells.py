@@ -10,10 +10,10 @@ from tetractl_microscope.organisms import named
 from tetractl_microscope.tracks.fit_track import fit_tracks
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.swimming_tracks import (
-    organism_by_speed,
+    create_track_record,
+    find_organism_by_speed,
+    select_swimming_tracks,
     stage_remarks,
-    swimming_tracks,
-    track_record,
 )
 
 from tetractl.core.errors import TetractlError
@@ -56,7 +56,7 @@ def test_particles_that_diffuse_do_not_swim(step_um):
     with pytest.raises(
         TetractlError, match="nothing swims: everything that moves goes back and forth"
     ) as error:
-        swimming_tracks(SOURCE, beads, True)
+        select_swimming_tracks(SOURCE, beads, True)
     assert error.value.exit == 1
 
 
@@ -67,7 +67,7 @@ def test_particles_that_diffuse_do_not_swim(step_um):
 def test_swimmers_that_turn_between_rare_pictures_are_no_beads(turns, hz, noise_um):
     """Regression: "what moves goes to and fro, as beads do: nothing swims"."""
     cells = [turning(k, turns, 100.0, noise_um, hz, seconds=50.0 / hz) for k in range(6)]
-    assert len(swimming_tracks(SOURCE, cells, False).paths) == 6
+    assert len(select_swimming_tracks(SOURCE, cells, False).paths) == 6
 
 
 RARE = times(25.0, 2.0)
@@ -93,11 +93,13 @@ def steps_of(random):
 def test_beads_in_rare_pictures_do_not_swim(places):
     beads = [track(k, RARE, *places(np.random.default_rng(k)).T) for k in range(20)]
     with pytest.raises(TetractlError, match="nothing swims"):
-        swimming_tracks(SOURCE, beads, False)
+        select_swimming_tracks(SOURCE, beads, False)
 
 
 def test_beads_among_swimmers_are_left_out_and_named():
-    cells = swimming_tracks(SOURCE, [turning(1, 1.0), turning(2, 1.0), bead(3), bead(4)], True)
+    cells = select_swimming_tracks(
+        SOURCE, [turning(1, 1.0), turning(2, 1.0), bead(3), bead(4)], True
+    )
     assert [path.number for path in cells.paths] == [1, 2]
     assert "beads do: cell 3, cell 4" in cells.remarks[0]
 
@@ -117,16 +119,16 @@ def test_particles_that_drift_past_a_turning_field_are_said_to():
     turning_about = FieldRecord(np.arange(10.0), np.random.default_rng(1).uniform(-3, 3, 10))
     to_one_side = FieldRecord(np.arange(10.0), np.full(10, 0.5))
     drifting = [bead(number, 2.0, drift_um_s=20.0) for number in range(10)]
-    paths = swimming_tracks(SOURCE, drifting, True).paths
+    paths = select_swimming_tracks(SOURCE, drifting, True).paths
     (said,) = stage_remarks(paths, turning_about)
     assert "does the stage move, or does the medium flow?" in said
     assert "no a is fitted" in said
     assert not stage_remarks(paths, to_one_side)
     for field in (turning_about, to_one_side):
         followed = [steered(number, field) for number in range(10)]
-        assert not stage_remarks(swimming_tracks(SOURCE, followed, True).paths, field)
+        assert not stage_remarks(select_swimming_tracks(SOURCE, followed, True).paths, field)
     own_ways = [turning(number, 0.1) for number in range(10)]
-    assert not stage_remarks(swimming_tracks(SOURCE, own_ways, True).paths, turning_about)
+    assert not stage_remarks(select_swimming_tracks(SOURCE, own_ways, True).paths, turning_about)
 
 
 @pytest.mark.parametrize(
@@ -134,8 +136,8 @@ def test_particles_that_drift_past_a_turning_field_are_said_to():
     [(30.0, "magnetospirillum"), (90.0, "euglena"), (350.0, "tetrahymena"), (900.0, "paramecium")],
 )
 def test_the_organism_of_tracks_is_the_one_of_their_speed(speed, name):
-    cells = swimming_tracks(SOURCE, [turning(1, 0.2, speed=speed)], False)
-    assert organism_by_speed(cells.paths).name == name
+    cells = select_swimming_tracks(SOURCE, [turning(1, 0.2, speed=speed)], False)
+    assert find_organism_by_speed(cells.paths).name == name
 
 
 @pytest.mark.parametrize(("helix_um", "hz"), [(0.0, 10.0), (0.0, 20.0), (8.0, 30.0)])
@@ -158,7 +160,7 @@ def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     y = np.cumsum(speed * np.sin(heading)) / (hz * fine) + aside * np.cos(heading)
     cell = track(1, when[::fine], x[::fine], y[::fine], noise_um=0.3)
     field = FieldRecord(changes, sent)
-    cells = swimming_tracks(SOURCE, [cell], True)
+    cells = select_swimming_tracks(SOURCE, [cell], True)
     (summary,) = fit_tracks(cells.paths, named("tetrahymena"), field, cells.period_s)
     assert summary.a_rad_s.low < a < summary.a_rad_s.high
     assert summary.a_rad_s.value == pytest.approx(a, rel=0.03)
@@ -169,8 +171,8 @@ TURNING_ABOUT = FieldRecord(np.arange(0.0, 10.0, 2.0), np.array([0.0, 1.5, -1.2,
 
 
 def record(cells, field=TURNING_ABOUT):
-    tracks = swimming_tracks(SOURCE, cells, field is not None)
-    return track_record(SOURCE, tracks, named("euglena"), field)
+    tracks = select_swimming_tracks(SOURCE, cells, field is not None)
+    return create_track_record(SOURCE, tracks, named("euglena"), field)
 
 
 @pytest.mark.parametrize("turns", [2.2, -2.2])
@@ -196,7 +198,7 @@ def wandering(number):
 
 def test_noise_of_places_makes_no_flow_past_a_swimmer():
     """Regression: speeds of 78 (72 to 83) and 87 (83 to 91) for 100, by flows of up to 23 um/s."""
-    cells = swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
+    cells = select_swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
     for summary in fit_tracks(cells.paths, named("euglena"), None, cells.period_s):
         assert summary.speed_um_s.value == pytest.approx(100.0, rel=0.03)
         assert summary.speed_um_s.low < 101.0 and summary.speed_um_s.high > 99.0

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from tetractl_papers.claim import assess
-from tetractl_papers.paper import table
+from tetractl_papers.paper import create_claims_table
 from tetractl_papers.registries import PAPERS
 from tetractl_papers.trials import run_arms
 
@@ -31,7 +31,7 @@ def tables(folder: Path) -> str:
         paper = PAPERS.load(name)
         results = run_arms(paper, folder / name, find_examples(), None, complete, print)
         rows = [assess(claim, results) for claim in paper.claims]
-        printed.append(table(name, paper.source, rows))
+        printed.append(create_claims_table(name, paper.source, rows))
     return format_markdown(printed).strip()
 
 

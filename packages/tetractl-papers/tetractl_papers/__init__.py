@@ -1,1 +1,1 @@
-"""The figures and claims of published papers, run again and printed next to ours."""
+"""Reproduces the figures and claims of published papers, and prints them next to our results."""

@@ -1,8 +1,8 @@
-"""The claims of a paper, the criterion for each, and the verdict from our own trials.
+"""Claims of a paper, the criterion for each claim, and the verdict from our own trials.
 
-A claim is a result that the paper reports, never a value that the spec is given. Our trials give an
-`OurNumber`: a value, the number n of trials, and a 95 % interval [low, high], which is a point if
-all values are equal. The criterion (`Asked`) turns this number into a verdict:
+A claim is a result that the paper reports, never a value that we enter into a spec. Our trials give
+an `OurNumber`: a value, the number n of trials, and a 95 % interval [low, high], which is a point
+if all values are equal. The criterion (`Asked`) turns this number into a verdict:
 
     reached     the whole interval satisfies the criterion
     agrees      the criterion is the published number itself, and our interval contains it
@@ -35,7 +35,7 @@ _END_PROBABILITIES = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
 
 
 class Fate(StrEnum):
-    """The verdict on a paper's claim, after it was compared with our trials."""
+    """The verdict on a claim of a paper, from a comparison with our own trials."""
 
     REACHED = "reached"
     AGREES = "agrees"
@@ -78,7 +78,7 @@ class OurNumber:
 
 
 def mean_of(values: Floats) -> OurNumber:
-    """Compute the mean of values (n,) with its interval by Student's t distribution.
+    """Compute the mean of values (n,) with its 95 % interval by Student's t distribution.
 
     If the interval is unknown, for example for a single value, both its ends are the mean.
     """
@@ -96,7 +96,7 @@ def share_of(values: Floats) -> OurNumber:
 
 
 def deviation_of(values: Floats) -> OurNumber:
-    """Compute the standard deviation of values (n,), with its chi-square interval.
+    """Compute the standard deviation of values (n,), with its chi-square 95 % interval.
 
     The interval assumes normal values. The result is NaN if there is only one value.
     """
@@ -110,7 +110,7 @@ def deviation_of(values: Floats) -> OurNumber:
     return OurNumber(NumberKind.DEVIATION, std, n, lower, upper)
 
 
-# ---- What can be asked of them ----
+# ---- Criteria for these numbers ----
 
 Decide = Callable[[OurNumber], Fate]
 """Function that returns the verdict on the number of our trials."""
@@ -132,24 +132,24 @@ class Asked:
 
 
 def at_most(bound: float) -> Asked:
-    """Create the criterion that our mean is at or below a bound."""
+    """Create the criterion that the mean of our trials is at or below a bound."""
     return Asked("smaller is better", mean_of, _interval_within(-math.inf, bound))
 
 
 def at_least(bound: float) -> Asked:
-    """Create the criterion that our mean is at or above a bound."""
+    """Create the criterion that the mean of our trials is at or above a bound."""
     return Asked("greater is better", mean_of, _interval_within(bound, math.inf))
 
 
 def rarely(fraction: float = 0.05) -> Asked:
-    """Create the criterion that values are above 0 in at most this fraction of trials (0 to 1)."""
+    """Create the criterion that values are above 0 in at most a fraction of our trials (0 to 1)."""
     return Asked(
         f"in fewer than {100 * fraction:g} %", share_of, _interval_within(-math.inf, fraction)
     )
 
 
 def same_number(published: float) -> Asked:
-    """Create the criterion that the 95 % interval of our mean contains a published number.
+    """Create the criterion that the 95 % interval of our trials' mean contains a published number.
 
     The uncertainty of the published number is unknown, and is not considered.
     """
@@ -157,15 +157,15 @@ def same_number(published: float) -> Asked:
 
 
 def as_often(fraction: float) -> Asked:
-    """Create the criterion that values are above 0 in a published fraction of the trials.
+    """Create the criterion that values are above 0 in a published fraction of our trials (0 to 1).
 
-    The 95 % interval of our fraction must contain the published one.
+    The 95 % interval of our fraction must contain the published fraction.
     """
     return Asked(f"agreement with {100 * fraction:g} %", share_of, _interval_contains(fraction))
 
 
 def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
-    """Create the criterion of a claim that is not judged: its number comes from an experiment.
+    """Create the criterion of a claim that is not judged, because it comes from an experiment.
 
     Args:
         number: Computes our number from the values (n,) of our trials, such as `mean_of`.
@@ -174,9 +174,10 @@ def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
 
 
 def _interval_within(lower: float, upper: float) -> Decide:
-    """Create a decision: REACHED if the interval is within [low, high], MISSED if it is outside.
+    """Create a function that checks whether the interval of our number is within two bounds.
 
-    It is UNDECIDED if the interval contains one of the bounds.
+    Its verdict is REACHED if the interval is within [lower, upper], MISSED if it is outside, and
+    UNDECIDED if it contains one of the bounds.
     """
 
     def decide(our_number: OurNumber) -> Fate:
@@ -188,9 +189,10 @@ def _interval_within(lower: float, upper: float) -> Decide:
 
 
 def _interval_contains(published: float) -> Decide:
-    """Create a decision: AGREES if our interval contains a published number, otherwise MISSED.
+    """Create a function that checks whether the interval of our number contains a published number.
 
-    The ends belong to the interval.
+    Its verdict is AGREES if the interval contains that number, otherwise MISSED. The ends belong to
+    the interval.
     """
     return lambda ours: Fate.AGREES if ours.low <= published <= ours.high else Fate.MISSED
 
@@ -211,9 +213,9 @@ class Claim:
         measure: Computes a number from one trial, in `unit`. A bool counts as 1 or 0.
         asked: The criterion.
         unit: Unit of the number. Empty if it has none.
-        minus: Name of an arm to subtract: the paired differences of the trials are judged. None for
-            no difference.
-        expected: The verdict that the page states.
+        minus: Name of a second arm. The paired differences between the trials of both arms are then
+            judged. None if only one arm is measured.
+        expected: The verdict that the package's README states.
         why: Explanation of a difference from the published number.
     """
 
@@ -229,36 +231,43 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """A claim of a paper, the number that our trials gave, and the verdict."""
+class AssessedClaim:
+    """A claim of a paper with the number from our trials and the verdict.
+
+    Attributes:
+        claim: The claim.
+        ours: The number from our trials, with its interval.
+        verdict: The verdict on the claim.
+    """
 
     claim: Claim
     ours: OurNumber
     verdict: Fate
 
 
-def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
-    """Measure the trials of a claim, and judge the claim.
+def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> AssessedClaim:
+    """Judge a claim of a paper by the trials that belong to it.
 
     Args:
         claim: The claim.
-        results: The trials of each arm, by the arm's name.
+        results: The trials of each arm, by the arm's name. If the claim compares two arms, their
+            trials are paired in order.
     """
-    values = _measure_trials(claim, results[claim.arm])
+    values = _measure_each(claim, results[claim.arm])
     means = None
     if claim.minus is not None:
-        subtracted = _measure_trials(claim, results[claim.minus])
+        subtracted = _measure_each(claim, results[claim.minus])
         n_pairs = min(len(values), len(subtracted))
         values = values[:n_pairs]
         subtracted = subtracted[:n_pairs]
         means = (float(values.mean()), float(subtracted.mean()))
         values = values - subtracted
     our_number = claim.asked.number(values)
-    return Row(claim, replace(our_number, means=means), claim.asked.decide(our_number))
+    return AssessedClaim(claim, replace(our_number, means=means), claim.asked.decide(our_number))
 
 
-def _measure_trials(claim: Claim, trials: Sequence[Any]) -> Floats:
-    """Compute the claim's measure of each trial, shape (n,), in the order of the trials.
+def _measure_each(claim: Claim, trials: Sequence[Any]) -> Floats:
+    """Compute the measure of a claim for each of its trials, shape (n,), in the same order.
 
     Raises:
         AssertionError: If a measure is NaN or infinite.

@@ -37,34 +37,39 @@ def reproduce(
     from tetractl.api.batches import run_batch
     from tetractl.spec.examples import find_examples
     from tetractl_papers.claim import assess
-    from tetractl_papers.paper import Paper, items, table
+    from tetractl_papers.paper import Paper, convert_to_json, create_claims_table
     from tetractl_papers.trials import run_arms
 
     names = PAPERS.names() if all_papers else papers or []
     for name in names:
         if name not in PAPERS:
-            text = f"there is no paper named '{name}'{suggest_similar(name, PAPERS.names())}"
-            raise UsageError(text, f"the known papers are {', '.join(PAPERS.names())}")
+            problem = f"there is no paper named '{name}'{suggest_similar(name, PAPERS.names())}"
+            raise UsageError(problem, f"the known papers are {', '.join(PAPERS.names())}")
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
-    complete = partial(run_batch, jobs=jobs, resume=True)
-    described: dict[str, dict[str, Any]] = {}
-    unexpected = 0
+    complete_batch = partial(run_batch, jobs=jobs, resume=True)
+    json_by_paper: dict[str, dict[str, Any]] = {}
+    n_unexpected = 0
     for name in names:
         paper: Paper = PAPERS.load(name)
-        results = run_arms(paper, out / name, find_examples(), trials, complete, ui.print_messages)
+        results = run_arms(
+            paper, out / name, find_examples(), trials, complete_batch, ui.print_messages
+        )
         rows = [assess(claim, results) for claim in paper.claims]
-        described[name] = {"source": paper.source, "figures": [items(row) for row in rows]}
+        json_by_paper[name] = {
+            "source": paper.source,
+            "figures": [convert_to_json(row) for row in rows],
+        }
         if not as_json:
-            print_tables([table(name, paper.source, rows)])
-        differing = [row for row in rows if row.verdict is not row.claim.expected]
-        for row in differing:
+            print_tables([create_claims_table(name, paper.source, rows)])
+        unexpected_claims = [row for row in rows if row.verdict is not row.claim.expected]
+        for row in unexpected_claims:
             claim = row.claim
             ui.print_messages(
                 f"{name}: {claim.figure}: the result is {row.verdict}, but the page "
                 f"states {claim.expected}"
             )
-        unexpected += len(differing)
+        n_unexpected += len(unexpected_claims)
     if as_json:
-        print(format_json({"papers": described or {name: {} for name in PAPERS.names()}}))
-    return Exit.FAILED if unexpected else Exit.DONE
+        print(format_json({"papers": json_by_paper or {name: {} for name in PAPERS.names()}}))
+    return Exit.FAILED if n_unexpected else Exit.DONE

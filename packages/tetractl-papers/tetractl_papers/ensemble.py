@@ -1,4 +1,6 @@
-"""Feedback Ensemble Control (section I of the paper): the field alternately rotates and is off.
+"""Feedback Ensemble Control: a controller whose field alternately rotates and is off.
+
+This is the earlier method that section I of the paper by Ou and others describes.
 
 While the field rotates, the robots follow it, each with a lag that depends on its turning rate a.
 When their headings are such that the control Lyapunov function
@@ -31,10 +33,11 @@ from tetractl.spec.controller import ALONE, Host
 
 
 class EnsembleSection(PlainSection):
-    """Feedback Ensemble Control: the field alternately rotates and is off.
+    """Feedback Ensemble Control: a controller whose field alternately rotates and is off.
 
-    It rotates until the sum of distances to the targets would fall without a field. Then it is off
-    as long as the sum falls. The controller ignores obstacles and works in simulations only.
+    The field rotates until the sum of distances to the targets would fall without a field. Then the
+    field is off as long as the sum falls. The controller ignores obstacles and works in simulations
+    only.
     """
 
     switches_field: ClassVar[bool] = True
@@ -60,10 +63,10 @@ class EnsembleSection(PlainSection):
 
 
 class HeldDirection(NamedTuple):
-    """A command that acts from a given time.
+    """A direction of the field, or no field, that acts from a given time.
 
     Attributes:
-        since_ns: When it starts to act [ns].
+        since_ns: When the direction starts to act [ns].
         direction: Direction of the field [rad]. None for no field.
     """
 
@@ -89,28 +92,28 @@ class Ensemble(PlainController):
         super().__init__(section, setup, key)
         self.section = section
         self._dead_time_ns = round(section.dead_time * SECOND)
-        self._held: list[HeldDirection] = []
-        """The decisions that act or are still to act, oldest first."""
-        self._field: float | None = None
+        self._held_directions: list[HeldDirection] = []
+        """The decisions that act now or will act later, oldest first."""
+        self._field_rad: float | None = None
         """The direction of the rotating field [rad]. None while it is off."""
         self._turned_rad = 0.0
         """Angle by which the field has turned since it was switched on [rad]."""
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
-        """Return the problem with the poses predicted for the time at which the decision acts.
+        """Predict the poses for the time at which the next decision acts, and return the problem.
 
         That time is one dead time after the exposure of the frame.
         """
         now_ns = observation.sampled_ns
-        while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
-            self._held.pop(0)  # another decision has replaced it
+        while len(self._held_directions) > 1 and self._held_directions[1].since_ns <= now_ns:
+            self._held_directions.pop(0)  # a later decision has replaced this one
         acts_ns = now_ns + self._dead_time_ns
-        ends_ns = [held.since_ns for held in self._held[1:]] + [acts_ns]
+        ends_ns = [held.since_ns for held in self._held_directions[1:]] + [acts_ns]
         poses = observation.poses
-        for held, end_ns in zip(self._held, ends_ns, strict=False):
-            seconds = (end_ns - max(held.since_ns, now_ns)) / SECOND
-            if seconds > 0:
-                poses = driven(self.problem, poses, held.direction, seconds)
+        for held, end_ns in zip(self._held_directions, ends_ns, strict=False):
+            duration_s = (end_ns - max(held.since_ns, now_ns)) / SECOND
+            if duration_s > 0:
+                poses = predict_poses(self.problem, poses, held.direction, duration_s)
         return replace(self.problem, poses=poses)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
@@ -120,55 +123,61 @@ class Ensemble(PlainController):
         NO_BETTER_PLAN if `turns` rotations of the field have not lowered it.
         """
         section = self.section
-        error = problem.poses.distances(problem.targets).sum()  # V
-        straight = driven(problem, problem.poses, None, section.period)
-        fall = error - straight.distances(problem.targets).sum()
-        is_off = self._field is None and self.k > 0  # the field stays off until V would rise
-        largest_fall = problem.speed.sum() * section.period
-        least_fall = 0.0 if is_off else section.fall * largest_fall
-        if fall > least_fall:
-            self._field = None
+        distance_sum = problem.poses.distances(problem.targets).sum()  # the Lyapunov function V
+        straight_poses = predict_poses(problem, problem.poses, None, section.period)
+        expected_fall = distance_sum - straight_poses.distances(problem.targets).sum()
+        stays_off = self._field_rad is None and self.k > 0  # the field stays off until V would rise
+        fall_max = problem.speed.sum() * section.period
+        fall_min = 0.0 if stays_off else section.fall * fall_max
+        if expected_fall > fall_min:
+            self._field_rad = None
             self._turned_rad = 0.0
             signals = np.zeros(1)
-            end = straight
+            end_poses = straight_poses
         else:
             self._rotate(problem)
-            signals = np.array([self._field])
-            end = Poses.from_array(predict(problem, signals)[-1])
-            in_vain = self._turned_rad > 2 * np.pi * section.turns
-            if in_vain and end.distances(problem.targets).sum() >= error:
+            signals = np.array([self._field_rad])
+            end_poses = Poses.from_array(predict(problem, signals)[-1])
+            has_turned_enough = self._turned_rad > 2 * np.pi * section.turns
+            if has_turned_enough and end_poses.distances(problem.targets).sum() >= distance_sum:
                 return Outcome.NO_BETTER_PLAN
-        self._held.append(HeldDirection(observation.sampled_ns + self._dead_time_ns, self._field))
-        return self._planned(problem, signals, end, step_key)
+        self._held_directions.append(
+            HeldDirection(observation.sampled_ns + self._dead_time_ns, self._field_rad)
+        )
+        return self._create_plan(problem, signals, end_poses, step_key)
 
     def _rotate(self, problem: Problem) -> None:
         """Rotate the field anticlockwise by one step. If it was off, start at the mean heading.
 
         The direction stays within -pi to pi.
         """
-        if self._field is None:
+        if self._field_rad is None:
             heading = problem.poses.heading
             east = elementwise.cos(heading).sum()
             north = elementwise.sin(heading).sum()
-            self._field = float(elementwise.atan2(north, east))
+            self._field_rad = float(elementwise.atan2(north, east))
         step_rad = self.section.rate * float(problem.a.min()) * self.section.period
-        self._field = float(np.remainder(self._field + step_rad + np.pi, 2 * np.pi) - np.pi)
+        self._field_rad = float(np.remainder(self._field_rad + step_rad + np.pi, 2 * np.pi) - np.pi)
         self._turned_rad += step_rad
 
-    def _planned(self, problem: Problem, signals: Floats, end: Poses, step_key: int) -> Plan:
-        """Create the plan of one control period that ends at the poses `end`.
+    def _create_plan(
+        self, problem: Problem, signals: Floats, end_poses: Poses, step_key: int
+    ) -> Plan:
+        """Create the plan of one control period that ends at the poses `end_poses`.
 
-        Its action is FieldOff if the field is off, whatever `signals` are.
+        If the field is off, the action of the plan is FieldOff, and `signals` are ignored.
         """
-        path = np.stack([problem.poses.array(), end.array()])
+        path = np.stack([problem.poses.array(), end_poses.array()])
         foreseen = prediction_from_path(problem, path)
         search = given_search(problem, signals, foreseen)
         plan = make_plan([search], 0, step_key, foreseen)
-        return replace(plan, instead=FieldOff() if self._field is None else None)
+        return replace(plan, instead=FieldOff() if self._field_rad is None else None)
 
 
-def driven(problem: Problem, poses: Poses, direction: float | None, seconds: float) -> Poses:
-    """Predict the poses of robots under a constant field, or without a field.
+def predict_poses(
+    problem: Problem, poses: Poses, direction: float | None, duration_s: float
+) -> Poses:
+    """Predict the poses of robots after they have driven under a constant field or without a field.
 
     Without a field, robots drive straight on.
 
@@ -176,10 +185,10 @@ def driven(problem: Problem, poses: Poses, direction: float | None, seconds: flo
         problem: The robots' parameters.
         poses: Poses at the start.
         direction: Direction of the field [rad]. None for no field.
-        seconds: How long they drive [s].
+        duration_s: How long they drive [s].
     """
-    towards = poses.heading if direction is None else np.array(direction)
+    direction_or_heading = poses.heading if direction is None else np.array(direction)
     x, y, heading = exact_step(
-        poses.x, poses.y, poses.heading, towards, problem.a, problem.speed, seconds
+        poses.x, poses.y, poses.heading, direction_or_heading, problem.a, problem.speed, duration_s
     )
     return Poses(x, y, heading)

@@ -1,8 +1,8 @@
-"""A paper to reproduce: its claims, and the trials that are needed to check them.
+"""A published paper to reproduce: its claims, and the trials that are needed to check them.
 
 An *arm* is a named group of trials with the same conditions: a batch of a shipped spec with
-replaced values (`Runs`), or n results of a function (`Work`). The claims are a table of
-`claim.Claim`, which `claim.assess` judges.
+replaced values (`Runs`), or n results of a function (`Work`). Each claim is a `claim.Claim`, which
+`claim.assess` judges.
 """
 
 import math
@@ -11,21 +11,21 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tetractl.tools.table.table import Table, create_length_format
-from tetractl_papers.claim import Claim, NumberKind, OurNumber, Row
+from tetractl_papers.claim import AssessedClaim, Claim, NumberKind, OurNumber
 
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """An arm: trials of a shipped spec with replaced values.
+    """An arm of a paper: trials of a shipped spec with replaced values.
 
     Attributes:
         example: Name of the shipped spec.
-        sets: Settings that replace values, such as "controller.period=0.1".
+        sets: Settings that replace values of the spec, such as "controller.period=0.1".
         trials: Number of trials.
-        plan_of: Name of an arm. All trials send, open loop, the plan of step 0 of that arm's first
-            trial. None for closed-loop trials.
-        plans_of: Name of an arm. Each trial sends, open loop, the plan of step 0 of one of that
-            arm's trials. None for closed-loop trials.
+        plan_of: Name of another arm. All trials send, in open loop, the plan of step 0 of that
+            arm's first trial. None for closed-loop trials.
+        plans_of: Name of another arm. Each trial sends, in open loop, the plan of step 0 of one of
+            that arm's trials. None for closed-loop trials.
     """
 
     example: str
@@ -37,11 +37,12 @@ class Runs:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """An arm that is computed by a function instead of running a spec.
+    """An arm of a paper: results of a function instead of trials of a spec.
 
     Attributes:
-        once: Called with the root seed and an index from 0. Returns values that JSON can represent.
-        trials: How many times it is called.
+        once: Function that computes one result from the root seed and an index from 0. The result
+            must contain only values that JSON can represent.
+        trials: Number of times that the function is called.
     """
 
     once: Callable[[int, int], dict[str, Any]]
@@ -50,12 +51,12 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Paper:
-    """A paper that can be reproduced.
+    """A published paper that `tetractl reproduce` can reproduce.
 
     Attributes:
-        source: Its reference.
-        arms: Its arms by name, in the order in which they are run.
-        claims: Its claims.
+        source: Reference of the paper.
+        arms: Groups of trials by name, in the order in which they are run.
+        claims: The claims of the paper, each with the arm that checks it.
     """
 
     source: str
@@ -63,34 +64,34 @@ class Paper:
     claims: Sequence[Claim]
 
 
-def table(name: str, source: str, rows: Sequence[Row]) -> Table:
-    """Create the table of a paper's judged claims.
+def create_claims_table(name: str, source: str, rows: Sequence[AssessedClaim]) -> Table:
+    """Create the table that shows the claims of a paper next to our numbers and the verdicts.
 
     Args:
         name: Name of the paper.
-        source: Its reference.
+        source: Reference of the paper.
         rows: The claims with our numbers and verdicts.
     """
     header = ("figure", "published", "asked", "ours", "n", "95 % interval", "verdict", "why")
-    texts = []
+    table_rows = []
     for row in rows:
         claim = row.claim
         cells = (
             claim.figure,
             claim.published,
             claim.asked.words,
-            _number(row.ours, claim.unit),
+            _format_number(row.ours, claim.unit),
             str(row.ours.n),
-            _interval(row.ours),
+            _format_interval(row.ours),
             row.verdict,
             claim.why,
         )
-        texts.append(cells)
-    return Table.of_texts(f"{name}: {source}", header, texts)
+        table_rows.append(cells)
+    return Table.of_texts(f"{name}: {source}", header, table_rows)
 
 
-def _number(number: OurNumber, unit: str) -> str:
-    """Format our number with its unit, or as "k of n" if it is a fraction of trials.
+def _format_number(number: OurNumber, unit: str) -> str:
+    """Format a number from our trials with its unit, or as "k of n" if it is a fraction of trials.
 
     NaN is shown as "unknown". The two means of a difference follow in brackets.
     """
@@ -98,33 +99,33 @@ def _number(number: OurNumber, unit: str) -> str:
         return f"{round(number.value * number.n)} of {number.n}"
     if math.isnan(number.value):  # the deviation of a single trial
         return "unknown"
-    text = f"{_length(number.value)} {unit}".strip()
+    text = f"{_format_value(number.value)} {unit}".strip()
     if number.means is None:
         return text
     ours, subtracted = number.means
-    return f"{text} ({_length(ours)} and {_length(subtracted)})"
+    return f"{text} ({_format_value(ours)} and {_format_value(subtracted)})"
 
 
-def _length(value: float) -> str:
-    """Format a number with the digits that suit its size."""
+def _format_value(value: float) -> str:
+    """Format a number with a precision that suits its size."""
     return create_length_format(value)(value)
 
 
-def _interval(number: OurNumber) -> str:
-    """Format the interval of our number, in percent if it is a fraction of trials.
+def _format_interval(number: OurNumber) -> str:
+    """Format the 95 % interval of a number from our trials, in percent for a fraction of trials.
 
-    The text is "none" if the interval is unknown or a point.
+    The result is "none" if the interval is unknown or a point.
     """
     if number.kind is NumberKind.SHARE:
         return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
     if math.isnan(number.low) or number.low == number.high:
         return "none"
-    show = create_length_format(number.value)
-    return f"{show(number.low)} to {show(number.high)}"
+    format_bound = create_length_format(number.value)
+    return f"{format_bound(number.low)} to {format_bound(number.high)}"
 
 
-def items(row: Row) -> dict[str, Any]:
-    """Return a judged claim as a JSON object.
+def convert_to_json(row: AssessedClaim) -> dict[str, Any]:
+    """Convert a judged claim to a JSON object.
 
     Returns:
         The keys "figure", "published", "asked", "unit", the fields of `OurNumber`, "verdict",

@@ -1,4 +1,4 @@
-"""The registry of papers, which other packages may add to."""
+"""The registry of papers that can be reproduced. Other packages can add papers to it."""
 
 from tetractl.core.registry import Registry
 

@@ -1,9 +1,10 @@
-"""A rapidly-exploring random tree with feedback, for one robot: a path, and steering along it.
+"""A controller that plans one robot's path with a rapidly-exploring random tree (RRT).
 
-The paper names this method (section I, after Kim et al., 2011) as an earlier way to steer one cell
-round obstacles: a tree finds a path, and feedback points the field at the path's next corner. The
-tree grows in the plane: a random point of the arena, or sometimes the target, is drawn, and an edge
-is added from the nearest node towards it unless the edge would touch an obstacle. The length of an
+The paper by Ou and others names this method (section I, after Kim et al., 2011) as an earlier way
+to steer one cell round obstacles. A tree finds a path, and feedback points the field at the next
+corner of the path. To grow the tree in the plane, a random point of the arena, or sometimes the
+target, is sampled. An edge from the nearest node towards this point is added, unless the edge would
+touch an obstacle. The length of an
 edge, and the distance from which a corner counts as passed, are in units of v/a, the radius of the
 tightest bend that a robot can drive.
 
@@ -31,7 +32,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class RrtSection(PlainSection):
-    """A rapidly-exploring random tree with feedback, for one robot.
+    """A rapidly-exploring random tree (RRT) with feedback: a controller for one robot.
 
     The field points at the next corner of a path that keeps clear of obstacles and walls.
     """
@@ -48,13 +49,13 @@ class RrtSection(PlainSection):
     """Obstacles and walls are grown by this much for the tree [length unit]."""
 
     goal_bias: ClassVar[float] = 0.1
-    """Fraction of the draws that give the target instead of a random point."""
-    draws: ClassVar[int] = 5000
+    """Fraction of the samples that are the target instead of a random point."""
+    points_max: ClassVar[int] = 5000
     """Maximum number of random points used to grow one tree. If the tree does not reach the target,
     the robot drives straight to it.
     """
-    ahead: ClassVar[float] = 0.7
-    """Minimum cosine of the angle between heading and target at which a robot drives towards it."""
+    ahead_cosine_min: ClassVar[float] = 0.7
+    """Minimum cosine of the angle between heading and target at which a robot drives to it."""
 
     def bounds(self) -> dict[str, str]:
         """Describe the limit on the size of a tree, for display.
@@ -62,7 +63,7 @@ class RrtSection(PlainSection):
         Returns:
             One entry: "nodes of a tree" maps to the maximum number.
         """
-        return {"nodes of a tree": f"at most {self.draws}"}
+        return {"nodes of a tree": f"at most {self.points_max}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield an error if there are several robots, or if the robot cannot move."""
@@ -86,7 +87,7 @@ class RrtSection(PlainSection):
 
 
 class Rrt(PlainController):
-    """The controller of one trial with a rapidly-exploring random tree.
+    """The controller of one trial that steers a robot along a path from a random tree (RRT).
 
     Args:
         section: The controller's section of the spec.
@@ -97,11 +98,13 @@ class Rrt(PlainController):
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
         super().__init__(section, setup, key)
         self.section = section
-        radius = float(setup.speed[0] / setup.a[0])
-        self._edge = section.edge * radius
-        self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)
+        turning_radius = float(setup.speed[0] / setup.a[0])
+        self._edge_length = section.edge * turning_radius
+        self._reach_distance = max(
+            section.reach * turning_radius, float(setup.speed[0]) * section.period
+        )
         self._arena = setup.arena
-        self._path = setup.targets  # corners still ahead of the robot (M, 2), the target last
+        self._corners = setup.targets  # corners still ahead of the robot (M, 2), the target last
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
         """Point the field at the next corner, or end the trial; see `PlainController.decided`."""
@@ -112,107 +115,119 @@ class Rrt(PlainController):
         return decision or given_plan(problem, signals, step_key)
 
     def _choose_direction(self, problem: Problem, key: int) -> float:
-        """Choose the direction to send [rad], which is usually that of the next corner.
+        """Choose the direction to send [rad], usually the direction of the path's next corner.
 
-        A new path is planned if the way to the next corner is blocked. No path can begin inside an
-        obstacle grown by the margin, so a robot inside one keeps its path. A robot that is too near
-        its target to turn towards it would circle it for ever. It therefore drives straight on
-        until it is far enough away.
+        A new path is planned if an obstacle blocks the way to the next corner. No path can begin
+        inside an obstacle grown by the margin, so a robot inside one keeps its path. A robot that
+        is too near its target to turn towards it would circle it for ever. It therefore drives
+        straight on until it is far enough away.
         """
         position = problem.poses.xy[0]
-        region = problem.obstacles
-        while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - position)) <= self._reach:
-            self._path = self._path[1:]
+        obstacles = problem.obstacles
+        while (
+            len(self._corners) > 1
+            and elementwise.hypot(*(self._corners[0] - position)) <= self._reach_distance
+        ):
+            self._corners = self._corners[1:]
         is_blocked = bool(
-            region.meets_segments(position[0], position[1], self._path[0, 0], self._path[0, 1])
+            obstacles.meets_segments(
+                position[0], position[1], self._corners[0, 0], self._corners[0, 1]
+            )
         )
-        if is_blocked and not region.contains(position[0], position[1]):
+        if is_blocked and not obstacles.contains(position[0], position[1]):
             target = problem.targets[0]
-            draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
-            path = grow_tree(region, self._arena, position, target, self._edge, draws)
-            self._path = target[None] if path is None else path
-        to_corner = self._path[0] - position
+            random_rows = uniform(key, 0, 3 * self.section.points_max).reshape(-1, 3)
+            corners = grow_tree(
+                obstacles, self._arena, position, target, self._edge_length, random_rows
+            )
+            self._corners = target[None] if corners is None else corners
+        to_corner = self._corners[0] - position
         direction_rad = float(elementwise.atan2(to_corner[1], to_corner[0]))
         heading = float(problem.poses.heading[0])
-        is_too_near = len(self._path) == 1 and elementwise.hypot(*to_corner) <= self._reach
+        is_too_near = (
+            len(self._corners) == 1 and elementwise.hypot(*to_corner) <= self._reach_distance
+        )
         return (
             heading
-            if is_too_near and elementwise.cos(direction_rad - heading) < self.section.ahead
+            if is_too_near
+            and elementwise.cos(direction_rad - heading) < self.section.ahead_cosine_min
             else direction_rad
         )
 
     def _end_if_passing(
         self, problem: Problem, signals: Floats, target_distance: float
     ) -> Outcome | End | None:
-        """Decide when the trial ends if the robot passes its target in this control period.
+        """End the trial at the closest point if the robot passes its target in this control period.
 
         Returns:
             The outcome, or an `End` with the delay until the closest point. None if the robot does
             not pass its target in this period.
         """
-        misalignment = signals[0] - problem.poses.heading[0]
+        misalignment_rad = signals[0] - problem.poses.heading[0]
         if (
-            len(self._path) > 1
-            or target_distance > self._reach
-            or elementwise.cos(misalignment) < self.section.ahead
+            len(self._corners) > 1
+            or target_distance > self._reach_distance
+            or elementwise.cos(misalignment_rad) < self.section.ahead_cosine_min
         ):
             return None
-        delay_ns, error = find_best_stop(
+        delay_ns, stop_error = find_best_stop(
             problem, self.estimator.directions_at_action, self.section.period
         )
-        if error > predict_with_costs(problem, signals).target:
+        if stop_error > predict_with_costs(problem, signals).target:
             return None
         outcome = Outcome.NO_BETTER_PLAN
         return End(outcome, delay_ns) if delay_ns else outcome
 
 
 def grow_tree(
-    region: Obstacles,
+    obstacles: Obstacles,
     arena: Bounds,
     start: Floats,
     target: Floats,
     edge_length: float,
-    draws: Floats,
+    random_rows: Floats,
 ) -> Floats | None:
-    """Grow a random tree from the start until it reaches the target.
+    """Grow a random tree (RRT) from a start until it reaches a target, and return the path.
 
     Args:
-        region: The obstacles to avoid.
+        obstacles: The obstacles to avoid.
         arena: The arena.
         start: Where the tree starts, shape (2,).
-        target: Where the path should lead, shape (2,).
+        target: Where the path ends, shape (2,).
         edge_length: Length of an edge of the tree [length unit].
-        draws: Random numbers in [0, 1), shape (D, 3). Each row is used for one point: the first
-            number decides whether to use the target, the others give a point in the arena.
+        random_rows: Random numbers in [0, 1), shape (D, 3). Each row gives one point: the first
+            number decides whether the point is the target, the other two give a point in the arena.
 
     Returns:
         The corners of the path, shape (M, 2). None if the tree does not reach the target.
     """
-    nodes = np.empty((len(draws) + 1, 2))
-    parents = np.zeros(len(draws) + 1, dtype=np.int64)
+    nodes = np.empty((len(random_rows) + 1, 2))
+    parents = np.zeros(len(random_rows) + 1, dtype=np.int64)
     nodes[0] = start
     node_count = 1
     lower_left = np.array([arena.left, arena.bottom])
     size = np.array([arena.width, arena.height])
-    for choice, *fractions in draws.tolist():
+    for choice, *fractions in random_rows.tolist():
         point = target if choice < RrtSection.goal_bias else lower_left + size * fractions
-        vectors = point - nodes[:node_count]
-        distances = elementwise.hypot(vectors[:, 0], vectors[:, 1])
+        offsets = point - nodes[:node_count]
+        distances = elementwise.hypot(offsets[:, 0], offsets[:, 1])
         nearest = int(np.argmin(distances))
         nearest_node = nodes[nearest]
         length = float(distances[nearest])
         node = (
             point
             if length <= edge_length
-            else nearest_node + vectors[nearest] * (edge_length / length)
+            else nearest_node + offsets[nearest] * (edge_length / length)
         )
-        if length == 0 or region.meets_segments(nearest_node[0], nearest_node[1], node[0], node[1]):
+        if length == 0 or obstacles.meets_segments(
+            nearest_node[0], nearest_node[1], node[0], node[1]
+        ):
             continue
         nodes[node_count] = node
         parents[node_count] = nearest
         node_count += 1
         distance = float(elementwise.hypot(*(target - node)))
-        if distance <= edge_length and not region.meets_segments(
+        if distance <= edge_length and not obstacles.meets_segments(
             node[0], node[1], target[0], target[1]
         ):
             path = [target]

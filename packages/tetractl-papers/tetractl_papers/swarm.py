@@ -1,4 +1,4 @@
-"""Draws the particles of a search, each at the first two signals of its sequence (Figure 2)."""
+"""Draws the particle swarm of a search at three iterations, as in Figure 2 of the paper by Ou."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,12 +15,12 @@ from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.trials import one_trial, require_steps
-from tetractl_papers.swarm_history import SwarmHistory, first_swarm
+from tetractl_papers.swarm_history import SwarmHistory, repeat_first_search
 
-SHADES = 10
-"""Number of grey levels for J. Each covers the same fraction of the square.
+N_SHADES = 10
+"""Number of grey levels for the cost J. Each level covers the same fraction of the image.
 
-If they were spread evenly over J, nearly all would fall to the few signals that lead into an
+If the levels were spread evenly over J, nearly all would show the few signals that lead into an
 obstacle.
 """
 
@@ -28,16 +28,16 @@ obstacle.
 HEIGHT_IN = 3.1
 """Height of the figure [in]."""
 SHOWN_FRACTIONS = (0.0, 0.25, 1.0)
-"""The iterations shown, as fractions of all: each has a panel."""
+"""The iterations that the panels show, each as a fraction of all iterations."""
 SMALL_DOTS_ABOVE_PARTICLES = 200
-"""Number of particles beyond which they are drawn smaller."""
+"""Maximum number of particles that are drawn as large dots."""
 AXIS_LIMIT_RAD = 1.04 * np.pi
-"""Limit of the axes [rad], slightly beyond the signals so that dots are drawn whole."""
+"""Limit of the axes [rad]. It is slightly above pi, so that dots at the edge are drawn whole."""
 
 
 @style.styled()
 def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the particle swarm of the first plan's search at three iterations (Figure 2).
+    """Draw the particle swarm of a trial's first search, at three iterations (Figure 2).
 
     The axes are the first two signals of the sequence. The background shows the cost J as a
     function of these two signals, while all other signals are taken from the best sequence found.
@@ -48,7 +48,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     log = one_trial(logs)
     require_steps(log)
-    history = first_swarm(log, SHOWN_FRACTIONS)
+    history = repeat_first_search(log, SHOWN_FRACTIONS)
     unit = format_unit(log.start.setup.unit)
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)
     (panels,) = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)
@@ -72,41 +72,41 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _draw_particle_path(axes: Axes, history: SwarmHistory) -> None:
-    """Draw the path of one particle, and the best point that it found."""
+    """Draw the path of one particle, and the best point that this particle found."""
     u_1, u_2 = history.path.T
     axes.plot(u_1, u_2, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(u_1, u_2, "o", color=style.INK, ms=1.8, zorder=3, gid="course")
     _draw_dots(axes, history.path_best, style.INK, 6, mew=0.6, marker="D", zorder=4)
 
 
-def _draw_legend(figure: Figure, history: SwarmHistory, signals: int) -> None:
-    """Draw the legend, which also reports whether the computed J equals the logged J."""
-    count = len(history.frames[0].particles)
+def _draw_legend(figure: Figure, history: SwarmHistory, n_signals: int) -> None:
+    """Draw the legend, which also reports whether the repeated search has the logged costs J."""
+    n_particles = len(history.frames[0].particles)
     rounding = "as logged" if history.repeated else "differs from the log by rounding"
-    dot: dict[str, Any] = {"marker": "o", "mec": "white"}
-    signs = [
-        style.sign(f"{count} particles", color=style.SLATES[1], ms=4, **dot),
+    dot_look: dict[str, Any] = {"marker": "o", "mec": "white"}
+    legend_entries = [
+        style.sign(f"{n_particles} particles", color=style.SLATES[1], ms=4, **dot_look),
         style.sign("best of all, $u_{gb}$", color=style.INK, ms=8, marker="*", mec="white"),
-        style.sign("one particle's course", color=style.INK, ms=2.5, **dot),
+        style.sign("one particle's course", color=style.INK, ms=2.5, **dot_look),
         style.sign("its own best, $u_{lb}$", color=style.INK, ms=6, marker="D", mec="white"),
-        Patch(color="none", label=f"first plan, {signals} signals; J {rounding}"),
+        Patch(color="none", label=f"first plan, {n_signals} signals; J {rounding}"),
     ]
-    style.legend(figure, signs)
+    style.legend(figure, legend_entries)
 
 
 def _draw_dots(axes: Axes, points: Floats, color: str, size: float, **look: Any) -> None:
-    """Draw dots at points (n, 2), or at one point (2,)."""
+    """Draw dots at points, shape (n, 2), or one dot at a point, shape (2,)."""
     whole_look = {"ls": "none", "marker": "o", **look}
     axes.plot(*points.T, ms=size, color=color, mec="white", **whole_look)
 
 
 def _draw_cost_shades(axes: Axes, history: SwarmHistory) -> AxesImage:
-    """Draw J over the two signals as an image, with lower J in lighter grey.
+    """Draw the cost J over the two signals as an image, with lower J in lighter grey.
 
-    Each of SHADES shades covers the same number of grid points.
+    Each of N_SHADES shades covers the same number of grid points.
     """
-    shares = np.linspace(0, 1, SHADES + 1)
-    levels = np.unique(np.quantile(history.costs, shares))
+    quantiles = np.linspace(0, 1, N_SHADES + 1)
+    levels = np.unique(np.quantile(history.costs, quantiles))
     if len(levels) < 2:
         levels = np.array([levels[0], levels[0] + 1])
     image = axes.imshow(

@@ -1,6 +1,6 @@
-"""Repeats a logged search to obtain its particle swarm, which logs do not contain.
+"""Repeats a logged search to obtain its particle swarm, which the log does not contain.
 
-A controller that is rebuilt from the log repeats control step 0, and receives the logged results of
+A controller is rebuilt from the log. It repeats control step 0, and receives the logged results of
 its searches. The problem, the warm start and the random key that it passes to `search` determine
 the swarm. The module also checks whether the costs equal the logged ones, which the figure `swarm`
 reports.
@@ -22,14 +22,14 @@ from tetractl.model.motion.motion import LOWER, UPPER
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.verification.recompute import NoSearchError, SearchRequest, StepSearches
 
-GRID = 61
-SEEN = [0, 1]
-"""Indices, in a sequence of signals, of the two signals on the axes of the figure."""
+GRID_SIZE = 61  # number of grid points of the cost J along each axis
+SHOWN_SIGNALS = [0, 1]
+"""Indices of the two signals of a sequence that the axes of the figure show."""
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """The swarm after one iteration.
+class SwarmFrame:
+    """A particle swarm after one iteration of its search.
 
     Attributes:
         z: Index of the iteration.
@@ -49,28 +49,29 @@ class SwarmHistory:
     """The history of a particle swarm search, reduced to the first two signals of each sequence.
 
     Attributes:
-        frames: The swarm after the chosen iterations.
+        frames: The swarm after each of the chosen iterations.
         path: Path of the first particle over Z iterations [rad], shape (Z + 1, 2).
         path_best: Best point that this particle found [rad], shape (2,).
-        costs: J on a grid over the range of the two signals, with the lowest row first, shape
-            (GRID, GRID). The range is given by the paper's equation (12). All other signals are
-            taken from u_gb, the best sequence found.
+        costs: Cost J on a grid over the range of the two signals, with the lowest row first, shape
+            (GRID_SIZE, GRID_SIZE). The range is given by the paper's equation (12). All other
+            signals are taken from u_gb, the best sequence found.
         repeated: Whether J(u_gb) equals the logged cost in every iteration.
     """
 
-    frames: tuple[Frame, ...]
+    frames: tuple[SwarmFrame, ...]
     path: Floats
     path_best: Floats
     costs: Floats
     repeated: bool
 
 
-def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
-    """Repeat the chosen search of control step 0, and record its swarm.
+def repeat_first_search(log: TrialLog, frame_fractions: Sequence[float]) -> SwarmHistory:
+    """Repeat the search that found the plan of a trial's step 0, and record its particle swarm.
 
     Args:
         log: The log of the trial.
-        shares: Iterations to keep as frames, each as a fraction of all iterations, from 0 to 1.
+        frame_fractions: Iterations to keep as frames, each as a fraction of all iterations, from 0
+            to 1.
 
     Raises:
         LogError: If the search was not by a particle swarm, has only one signal, cannot be repeated
@@ -88,38 +89,40 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     if request.length < 2:
         raise LogError(f"{log.log}: the plan has only one signal, but this figure needs two")
     logged_costs = log.steps[0].plan.search.history
-    last = min(len(logged_costs) - 1, section.iterations)
-    wanted = {round(share * last) for share in shares}
-    frames: list[Frame] = []
+    last_iteration = min(len(logged_costs) - 1, section.iterations)
+    frame_iterations = {round(share * last_iteration) for share in frame_fractions}
+    frames: list[SwarmFrame] = []
     path: list[Floats] = []
     costs: list[float] = []
     swarm = section.create_swarm(request.problem, request.length, request.warm, request.key)
-    for z in range(last + 1):
+    for z in range(last_iteration + 1):
         if searches.is_expired():
             raise LogError(f"{log.log}: running the first search of the trial again takes too long")
         if z > 0:
             swarm.iterate()
-        particles = swarm.u[SEEN].T.copy()
+        particles = swarm.u[SHOWN_SIGNALS].T.copy()
         path.append(particles[0])
         costs.append(swarm.global_best.cost)
-        if z in wanted:
+        if z in frame_iterations:
             frames.append(
-                Frame(z, particles, swarm.global_best.signals[SEEN], swarm.global_best.cost)
+                SwarmFrame(
+                    z, particles, swarm.global_best.signals[SHOWN_SIGNALS], swarm.global_best.cost
+                )
             )
     return SwarmHistory(
         tuple(frames),
         np.array(path),
-        swarm.u_lb[SEEN, 0],
-        _landscape(request.problem, swarm.global_best.signals),
+        swarm.u_lb[SHOWN_SIGNALS, 0],
+        _compute_cost_grid(request.problem, swarm.global_best.signals),
         bool(np.array_equal(costs, logged_costs)),
     )
 
 
 def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
-    """Let the log's controller repeat control step 0, and return its request for the chosen search.
+    """Let a trial's controller repeat step 0, and return its request for the chosen search.
 
     Raises:
-        LogError: If the controller does not request this search.
+        LogError: If the controller does not request this search again.
     """
     step = log.steps[0]
     searches.start_step(step.plan.searches)
@@ -135,17 +138,19 @@ def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
     return request
 
 
-def _landscape(problem: Problem, u_gb: Floats) -> Floats:
-    """Compute J [length unit] on a grid over the first two signals, shape (GRID, GRID).
+def _compute_cost_grid(problem: Problem, u_gb: Floats) -> Floats:
+    """Compute the cost J [length unit] on a grid over the first two signals of a sequence.
+
+    The result has the shape (GRID_SIZE, GRID_SIZE).
 
     Columns are values of the first signal, rows are values of the second. The other signals
     are taken from `u_gb`.
     """
-    axis = np.linspace(LOWER, UPPER, GRID)
-    costs = np.empty((GRID, GRID))
-    cost_of = compiled_costs(problem, GRID)
-    for row, value in enumerate(axis):
-        signals = np.repeat(u_gb[None], GRID, axis=0)
-        signals[:, SEEN] = np.column_stack([axis, np.full(GRID, value)])
-        costs[row] = cost_of(np.ascontiguousarray(signals.T))
+    axis_rad = np.linspace(LOWER, UPPER, GRID_SIZE)
+    costs = np.empty((GRID_SIZE, GRID_SIZE))
+    compute_costs = compiled_costs(problem, GRID_SIZE)
+    for row, value in enumerate(axis_rad):
+        signals = np.repeat(u_gb[None], GRID_SIZE, axis=0)
+        signals[:, SHOWN_SIGNALS] = np.column_stack([axis_rad, np.full(GRID_SIZE, value)])
+        costs[row] = compute_costs(np.ascontiguousarray(signals.T))
     return costs

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from tetractl_papers import khalil_2013
-from tetractl_papers.khalil_2013 import disc, disc_over_least
+from tetractl_papers.khalil_2013 import measure_disc, measure_disc_ratio
 
 
 def log_of(a, speed):
@@ -15,5 +15,5 @@ def log_of(a, speed):
 def test_a_disc_is_compared_with_the_one_that_no_robot_can_beat(monkeypatch):
     """A robot that never stops is 2 v / a wide on the mean."""
     monkeypatch.setattr(khalil_2013, "discs", lambda log: [30.0])
-    assert disc(log_of(2.0, 5.0)) == 30
-    assert disc_over_least(log_of(2.0, 5.0)) == pytest.approx(30 / (2 * 5.0 / 2.0))
+    assert measure_disc(log_of(2.0, 5.0)) == 30
+    assert measure_disc_ratio(log_of(2.0, 5.0)) == pytest.approx(30 / (2 * 5.0 / 2.0))

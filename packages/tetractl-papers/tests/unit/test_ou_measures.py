@@ -36,13 +36,13 @@ def searched(*histories, chosen=0, cost=math.nan):
 
 def test_the_error_of_a_robot_is_the_mean_of_the_robots():
     log = ended(total_error=30.0)
-    assert measures.total_error(log) == 30
-    assert measures.error_of_a_robot(log) == 15
+    assert measures.get_total_error(log) == 30
+    assert measures.mean_robot_error(log) == 15
 
 
 @pytest.mark.parametrize(
     ("measure", "field"),
-    [(measures.entered, "entered_obstacle"), (measures.left, "left_arena")],
+    [(measures.entered_obstacle, "entered_obstacle"), (measures.left_arena, "left_arena")],
 )
 def test_a_fact_of_the_result_holds_only_if_there_is_a_result(measure, field):
     assert hasattr(Result, field)
@@ -53,14 +53,14 @@ def test_a_fact_of_the_result_holds_only_if_there_is_a_result(measure, field):
 
 def test_the_start_of_a_search_is_no_iteration():
     log = trial(steps=[searched([9, 8, 7], [5]), searched([4, 3])])
-    assert measures.iterations(log) == pytest.approx((2 + 0 + 1) / 3)
+    assert measures.mean_iterations(log) == pytest.approx((2 + 0 + 1) / 3)
 
 
 def test_the_first_cost_and_history_are_those_of_the_chosen_search_of_step_0():
     first = searched([9, 8], [7, 6, 5], chosen=1, cost=5.5)
     log = trial(steps=[first, searched([4, 3], cost=3.0)])
     assert measures.first_cost(log) == 5.5
-    assert measures.chosen_history(log).tolist() == [7, 6, 5]
+    assert measures.chosen_cost_history(log).tolist() == [7, 6, 5]
 
 
 def test_a_warm_gain_compares_the_middle_plan_with_a_new_controller_of_the_same_key():
@@ -80,7 +80,7 @@ def test_a_warm_gain_compares_the_middle_plan_with_a_new_controller_of_the_same_
         for k in range(5)
     ]
     log = trial(steps=steps, experiment=SimpleNamespace(controller=controller))
-    assert measures.warm_gain(log) == 20 - PLAN.cost
+    assert measures.warm_start_cost_change(log) == 20 - PLAN.cost
     assert asked == [(SETUP, 2), ("o2", "c1")]
 
 
@@ -91,23 +91,23 @@ def test_robots_are_off_their_start_by_the_straight_way_in_the_plane():
     there_and_back = np.full((3, 2, 3), 7.0)
     there_and_back[1, :, 0] = 1000
     there_and_back[2, 0] = 10, 11, 2.0  # the heading is no way
-    assert measures.off_start(trial(truth=there_and_back)) == pytest.approx((5 + 0) / 2)
+    assert measures.mean_displacement(trial(truth=there_and_back)) == pytest.approx((5 + 0) / 2)
 
 
 def test_early_is_the_part_of_the_fall_in_ten_iterations():
     history = [110.0 - k for k in range(10)] + [100.0] + [60.0] * 5
     log = trial(steps=[searched(history)])
-    assert measures.early_share(log) == pytest.approx(10 / 50)
+    assert measures.early_decrease_fraction(log) == pytest.approx(10 / 50)
 
 
 def test_a_cost_that_halves_is_exponential_and_one_that_falls_evenly_is_not():
     halving = trial(steps=[searched(2.0 ** -np.arange(30))])
     falling = trial(steps=[searched(100 - np.arange(90.0))])
-    assert measures.exponential(halving) > 0.3
-    assert measures.exponential(falling) < -0.05
+    assert measures.exponential_fit_advantage(halving) > 0.3
+    assert measures.exponential_fit_advantage(falling) < -0.05
     steps = np.arange(30.0)
     r_squared = np.corrcoef(steps, 2.0**-steps)[0, 1] ** 2
-    assert measures.exponential(halving) == pytest.approx(1 - r_squared)
+    assert measures.exponential_fit_advantage(halving) == pytest.approx(1 - r_squared)
 
 
 def test_space_is_the_box_of_the_paths_over_that_of_starts_and_targets():
@@ -116,7 +116,7 @@ def test_space_is_the_box_of_the_paths_over_that_of_starts_and_targets():
     truth[0, 1, :2] = 90, 30
     truth[1, 0, :2] = 30, 60
     truth[1, 1] = math.nan, 1e9, 0.0  # is not known, and takes no space
-    assert measures.space(trial(truth=truth)) == pytest.approx(100 * 40 / (200 * 50))
+    assert measures.relative_space(trial(truth=truth)) == pytest.approx(100 * 40 / (200 * 50))
 
 
 # ---- fields that rotate ----
@@ -136,7 +136,7 @@ def turned(*pieces, per_step=0.1):
 
 def time_of(*pieces):
     angle = turned(*pieces)
-    return measures.spinning_time(angle, TIMES_S[: len(angle)])
+    return measures.sum_rotation_time_s(angle, TIMES_S[: len(angle)])
 
 
 def duration_of(piece):
@@ -166,12 +166,12 @@ def test_turns_to_both_sides_add_up_and_less_than_a_turn_between_does_not(sense)
 
 
 def test_a_field_that_never_turns_does_not_spin():
-    assert measures.spinning_time(np.zeros(50), TIMES_S[:50]) == 0
+    assert measures.sum_rotation_time_s(np.zeros(50), TIMES_S[:50]) == 0
 
 
 def spinning_of(directions):
     steps = [SimpleNamespace(plan=SimpleNamespace(direction=u)) for u in directions]
-    return measures.spinning(trial(steps=steps, steps_s=TIMES_S[: len(steps)]))
+    return measures.rotation_duration_s(trial(steps=steps, steps_s=TIMES_S[: len(steps)]))
 
 
 def wrapped(angle):
@@ -192,8 +192,8 @@ def test_the_directions_of_a_trial_are_unwrapped_and_a_stop_interrupts_them():
 def test_where_a_field_begins_and_its_sense_change_nothing(changes, begin):
     angle = np.cumsum([0.0, *changes])
     time_s = TIMES_S[: len(angle)]
-    spun_s = measures.spinning_time(angle, time_s)
+    spun_s = measures.sum_rotation_time_s(angle, time_s)
     assert 0 <= spun_s <= time_s[-1]
-    assert measures.spinning_time(-angle, time_s) == spun_s
-    moved_s = measures.spinning_time(angle + TURN * round(begin), time_s)
+    assert measures.sum_rotation_time_s(-angle, time_s) == spun_s
+    moved_s = measures.sum_rotation_time_s(angle + TURN * round(begin), time_s)
     assert moved_s == pytest.approx(spun_s)

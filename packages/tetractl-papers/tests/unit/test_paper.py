@@ -11,18 +11,18 @@ import pytest
 from tetractl_papers import command
 from tetractl_papers import trials as reproduce_trials
 from tetractl_papers.claim import (
+    AssessedClaim,
     Claim,
     Fate,
     NumberKind,
     OurNumber,
-    Row,
     assess,
     at_most,
     deviation_of,
     not_judged,
 )
-from tetractl_papers.ou_measures import spinning_time, total_error
-from tetractl_papers.paper import Paper, Runs, table
+from tetractl_papers.ou_measures import get_total_error, sum_rotation_time_s
+from tetractl_papers.paper import Paper, Runs, create_claims_table
 from tetractl_papers.registries import PAPERS
 
 from tetractl.api import batches
@@ -40,7 +40,7 @@ def claim(bound, expected=Fate.REACHED, why=""):
         figure="error",
         published=f"{bound} um",
         arm="one",
-        measure=total_error,
+        measure=get_total_error,
         unit="um",
         asked=at_most(bound),
         expected=expected,
@@ -65,8 +65,8 @@ def logs_of_one(folder):
 
 def test_a_field_spins_from_a_whole_turn_on():
     time_s = np.arange(11.0)
-    assert spinning_time(np.linspace(0, 6.2, 11), time_s) == 0
-    assert spinning_time(np.linspace(0, 6.3, 11), time_s) == 10
+    assert sum_rotation_time_s(np.linspace(0, 6.2, 11), time_s) == 0
+    assert sum_rotation_time_s(np.linspace(0, 6.3, 11), time_s) == 10
 
 
 @pytest.mark.long
@@ -103,7 +103,7 @@ def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch
         Paper("x", arms, []), tmp_path, find_examples(), None, COMPLETE, lambda text: None
     )
     for planned, sent in zip(results["planned"], results["sent"], strict=True):
-        assert total_error(sent) == pytest.approx(planned.steps[0].plan.target_cost, abs=1e-6)
+        assert get_total_error(sent) == pytest.approx(planned.steps[0].plan.target_cost, abs=1e-6)
 
 
 @pytest.mark.long
@@ -207,14 +207,14 @@ def test_the_deviation_of_one_trial_is_unknown():
     """Regression: `reproduce ou --trials 1` ended with a traceback."""
     asked = not_judged(deviation_of)
     row = assess(Claim("deviation", "225.1 mm", "one", float, asked), {"one": [132.0]})
-    (cells,) = table("mine", "x", [row]).rows
+    (cells,) = create_claims_table("mine", "x", [row]).rows
     assert cells[3:6] == ("unknown", "1", "none")
 
 
 def cells_of(ours, unit="mm"):
     """The cells of a claim's row: ours, n and the interval."""
-    row = Row(Claim("f", "1 mm", "one", float, at_most(1), unit), ours, Fate.REACHED)
-    (cells,) = table("mine", "x", [row]).rows
+    row = AssessedClaim(Claim("f", "1 mm", "one", float, at_most(1), unit), ours, Fate.REACHED)
+    (cells,) = create_claims_table("mine", "x", [row]).rows
     return cells[3:6]
 
 

@@ -3,8 +3,8 @@
 The paper is "Magnetic response of Magnetospirillum gryphiswaldense" (arXiv 1710.00405). Its authors
 measured how fast bacteria turn in fields of 1 to 12 mT, from U-turns in a channel of 5 um. This
 module simulates the tracks, one table for each field strength, and fits them as `tetractl track`
-does. The slope of the turning rate a against the field strength B is an input, which is sampled
-anew for each set of tables. The result therefore only shows that the method works.
+does. The slope of the turning rate a against the field strength B is an input, with another value
+for each set of tables. The result therefore only shows that the method works.
 """
 
 import math

@@ -245,7 +245,7 @@ def _summarise_valid(
     file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]"
 ) -> CheckedFile:
     """Return the findings about a valid spec."""
-    from tetractl.model.bounds import least_total_error
+    from tetractl.model.bounds import compute_min_total_error
     from tetractl.reach.reach import reach
 
     experiment = loaded.experiment
@@ -269,7 +269,7 @@ def _summarise_valid(
         **summary,
         "hash": loaded.hash,
         "warnings": [asdict(warning) for warning in warnings],
-        "least_total_error": least_total_error(setup, setup.time_limit_s),
+        "least_total_error": compute_min_total_error(setup, setup.time_limit_s),
         "reach": reached.fields if reached else None,
     }
     return CheckedFile(fields, [line])

@@ -6,12 +6,13 @@ g_i be the vector from a robot's start to its target, e_i its distance to the ta
 w_i the integral of its unit heading vector, so that the robot moves by v_i w_i. Each function
 derives its part:
 
-    reach           e_i >= |g_i| - v_i t                    one robot, that drives straight
-    drift           |w_1 - w_2| <= G(t)                     two robots turn by the same u
-    _pair_bounds    e_1 + e_2 >= min(v_1, v_2) (|g_1 / v_1 - g_2 / v_2| - G(t))
-    _min_error_sum  the minimum of e_1 + ... + e_N under all of these, a linear programme
+    compute_min_distances   e_i >= |g_i| - v_i t              one robot drives straight
+    compute_drift_bounds    |w_1 - w_2| <= G(t)               two robots turn by the same u
+    _compute_pair_bounds    e_1 + e_2 >= min(v_1, v_2) (|g_1 / v_1 - g_2 / v_2| - G(t))
+    _minimise_error_sum     the minimum of e_1 + ... + e_N under all these constraints
 
-The bounds also hold for the Euler model (4)-(6) and held wheel speeds (24)-(25), see `drift`.
+The bounds also hold for the Euler model (4)-(6) and held wheel speeds (24)-(25), see
+`compute_drift_bounds`.
 """
 
 import numpy as np
@@ -22,30 +23,33 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 
 PAIRS_MAX = 1000
-"""Maximum number of pairs in the linear programme.
+"""Maximum number of pairs of robots in the linear programme.
 
-The pairs that raise the bound most are used. The bound also holds without the others, which could
-only raise it.
+The programme uses the pairs that raise the bound most. The bound also holds without the other
+pairs, which could only raise it.
 """
 
 
 @np.errstate(over="ignore")  # a robot may be so fast that the distance overflows
-def reach(setup: Setup, seconds: float) -> Floats:
-    """Compute the minimum final distance of each robot from its target (N,) [length unit].
+def compute_min_distances(setup: Setup, seconds: float) -> Floats:
+    """Compute how near to its target each robot can come in a time [length unit], shape (N,).
 
     The distance is 0 if the robot can arrive within `seconds`. Each robot is assumed to drive
-    straight to its target. No other path brings it nearer, because |w_i| <= t.
+    straight to its target. No other path brings a robot nearer, because |w_i| <= t.
     """
     gaps = setup.starts.distances(setup.targets)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
 
 
-# if both turn alike, divisions by 0; if almost, e^(k t) overflows before D is 2
+# if both robots turn in the same way, divisions by 0; if almost, e^(k t) overflows before D is 2
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def drift(a_1: Floats, a_2: Floats, heading_difference: Floats, seconds: float) -> Floats:
-    """Compute G, an upper bound of |w_1 - w_2| for pairs of robots [s].
+def compute_drift_bounds(
+    a_1: Floats, a_2: Floats, heading_difference: Floats, seconds: float
+) -> Floats:
+    """Compute an upper bound G of how far the common direction can part two robots [s].
 
-    w is the integral of a robot's unit heading vector over at most `seconds`.
+    The bound is G >= |w_1 - w_2|, where w is the integral of a robot's unit heading vector over at
+    most `seconds`.
 
     Let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus the mean
     heading. Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2) = (a_1 - a_2) sin m
@@ -87,24 +91,24 @@ def drift(a_1: Floats, a_2: Floats, heading_difference: Floats, seconds: float) 
     return np.where(heading_difference + slope > 0, bound, 0.0)
 
 
-def least_total_error(setup: Setup, seconds: float) -> float:
+def compute_min_total_error(setup: Setup, seconds: float) -> float:
     """Compute a lower bound of the total error after `seconds` [length unit].
 
     No sequence of common directions leads to a smaller sum of the robots' distances from their
     targets. Obstacles are ignored.
     """
-    single_errors = reach(setup, seconds)
-    pairs, pair_errors = _pair_bounds(setup, seconds)
+    single_errors = compute_min_distances(setup, seconds)
+    pairs, pair_errors = _compute_pair_bounds(setup, seconds)
     gain = pair_errors - single_errors[pairs[:, 0]] - single_errors[pairs[:, 1]]
     raising_pairs = np.flatnonzero((gain > 0) & np.isfinite(gain))
     raising_pairs = raising_pairs[np.argsort(-gain[raising_pairs], kind="stable")[:PAIRS_MAX]]
     if not raising_pairs.size:
         return float(single_errors.sum())
-    return _min_error_sum(single_errors, pairs[raising_pairs], pair_errors[raising_pairs])
+    return _minimise_error_sum(single_errors, pairs[raising_pairs], pair_errors[raising_pairs])
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of robots that hardly move, p overflows
-def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Floats]:
+def _compute_pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Floats]:
     """Compute a lower bound of e_1 + e_2 for each pair of moving robots.
 
     The result consists of the pairs (P, 2) and their bounds (P,). A bound is not finite if a
@@ -120,18 +124,21 @@ def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Float
     j = j[both_move]
     headings = setup.starts.heading
     heading_difference = np.abs(wrap(headings[i] - headings[j]))
-    drift_s = drift(setup.a[i], setup.a[j], heading_difference, seconds)
+    drift_s = compute_drift_bounds(setup.a[i], setup.a[j], heading_difference, seconds)
     speed = np.where(setup.speed > 0, setup.speed, 1)
     p = (setup.targets - setup.starts.xy) / speed[:, None]
     gaps = elementwise.hypot(*(p[i] - p[j]).T) - drift_s
     return np.column_stack([i, j]), np.minimum(setup.speed[i], setup.speed[j]) * gaps
 
 
-def _min_error_sum(single_errors: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
+def _minimise_error_sum(
+    single_errors: Floats, pairs: NDArray[np.int64], pair_errors: Floats
+) -> float:
     """Compute the minimum of the total error e_1 + ... + e_N by a linear programme.
 
-    The constraints are that e_i >= alone_i, and that e_i + e_j is at least the bound `pair_errors`
-    of each pair (i, j). If the solver fails, the result is a weaker lower bound.
+    The constraints are that each e_i is at least the robot's bound in `single_errors`, and that the
+    sum e_i + e_j of each pair (i, j) is at least the pair's bound in `pair_errors`. If the solver
+    fails, the result is a weaker lower bound.
     """
     from scipy.optimize import linprog
     from scipy.sparse import coo_array

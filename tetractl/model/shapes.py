@@ -56,41 +56,45 @@ class Polygon(ShapeSection):
 
     type: Literal["polygon"]
     vertices: tuple[Point, ...] = Field(min_length=3, max_length=200)
-    """Corners [x, y] in order round the polygon, clockwise or anticlockwise [length unit].
+    """Corners [x, y] in order around the polygon, clockwise or anticlockwise [length unit].
 
     An edge joins the last corner to the first.
     """
 
     @model_validator(mode="after")
     def _is_simple(self) -> Self:
-        count = len(self.vertices)
-        edges = [(*self.vertices[i - 1], *self.vertices[i]) for i in range(count)]
-        columns = np.array(edges).T
+        """Reject a polygon with repeated corners, with edges that meet, or without an area."""
+        n_corners = len(self.vertices)
+        edges = [(*self.vertices[i - 1], *self.vertices[i]) for i in range(n_corners)]
+        edge_columns = np.array(edges).T
         for i, (ax, ay, bx, by) in enumerate(edges):
             if (ax, ay) == (bx, by):
                 message = (
-                    f"has the corner {_text(self.vertices[i])} twice in a row; remove one of them"
+                    f"has the corner {_format_point(self.vertices[i])} twice in a row; "
+                    "remove one of them"
                 )
                 raise inconsistent("vertices", message)
         for i, (ax, ay, bx, by) in enumerate(edges):
-            cx, cy = self.vertices[(i + 1) % count]
-            back = (bx - ax) * (cx - bx) + (by - ay) * (cy - by) < 0
-            if back and signed_double_area(ax, ay, bx, by, cx, cy) == 0:
+            cx, cy = self.vertices[(i + 1) % n_corners]
+            turns_back = (bx - ax) * (cx - bx) + (by - ay) * (cy - by) < 0
+            if turns_back and signed_double_area(ax, ay, bx, by, cx, cy) == 0:
                 message = (
-                    f"turns back on itself at {_text(self.vertices[i])}; the shape "
+                    f"turns back on itself at {_format_point(self.vertices[i])}; the shape "
                     "must have an area"
                 )
                 raise inconsistent("vertices", message)
-            # the edges after the next one; of those the last one is the first one's neighbour
-            end = count - 1 if i == 0 else count
+            # compare with the edges after the next edge; the last edge is a neighbour of the first
+            end_edge = n_corners - 1 if i == 0 else n_corners
             with np.errstate(all="ignore"):
-                met = np.flatnonzero(segments_meet(ax, ay, bx, by, *columns[:, i + 2 : end]))
-            if met.size:
+                crossed_edges = np.flatnonzero(
+                    segments_meet(ax, ay, bx, by, *edge_columns[:, i + 2 : end_edge])
+                )
+            if crossed_edges.size:
                 message = (
                     "crosses or touches itself: the edge that ends in "
-                    f"{_text(self.vertices[i])} meets the edge that ends in "
-                    f"{_text(self.vertices[i + 2 + met[0]])}; list the corners in order "
-                    "around the polygon"
+                    f"{_format_point(self.vertices[i])} meets the edge that ends in "
+                    f"{_format_point(self.vertices[i + 2 + crossed_edges[0]])}; "
+                    "list the corners in order around the polygon"
                 )
                 raise inconsistent("vertices", message)
         if not 0 < abs(_doubled_area(np.array(self.vertices))) < np.inf:
@@ -107,13 +111,14 @@ class Polygon(ShapeSection):
 
 
 def _doubled_area(vertices: Floats) -> float:
-    """Return twice the signed area of a polygon (M, 2), positive if it is anticlockwise."""
+    """Compute twice the area of a polygon (M, 2), positive if its corners are anticlockwise."""
     x, y = (vertices - vertices[0]).T
-    with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # the caller rejects non-finite areas
         x_next = np.roll(x, -1)
         y_next = np.roll(y, -1)
         return float(np.sum(x * y_next - x_next * y))
 
 
-def _text(point: Point) -> str:
+def _format_point(point: Point) -> str:
+    """Format the coordinates of a point for a message."""
     return f"[{point[0]:g}, {point[1]:g}]"

@@ -38,30 +38,30 @@ from tetractl.model.motion import swimming
 from tetractl.model.motion.swimming import CellArrays
 
 
-def speed_factor(celsius: float) -> float:
-    """Compute the speed at a temperature relative to the speed at 20 C.
+def compute_speed_factor(temperature_c: float) -> float:
+    """Compute the ratio of a cell's speed at a temperature [C] to its speed at 20 C.
 
-    It follows Arrhenius with `ACTIVATION_EV`, and changes by about 4 % per degree. It is valid for
-    10 to 28 C.
+    The ratio follows Arrhenius' law with the activation energy `ACTIVATION_EV`. It changes by about
+    4 % per degree, and is valid for 10 to 28 C.
 
     Raises:
         ValueError: If the temperature is outside 0 to 40 C.
     """
-    if not 0.0 <= celsius <= 40.0:
-        raise ValueError(f"cells do not swim at {celsius:g} C; give 0 to 40")
-    inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + celsius)
+    if not 0.0 <= temperature_c <= 40.0:
+        raise ValueError(f"cells do not swim at {temperature_c:g} C; give 0 to 40")
+    inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + temperature_c)
     return exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
 
 
 @dataclass
 class Swimmers:
-    """The true state of N cells: one number per cell in each array (N,).
+    """The true states of N swimming cells, as arrays of shape (N,).
 
     Attributes:
         x: x of the helix's axis [um].
         y: y of the helix's axis [um].
         heading: Direction of the axis [rad].
-        depth: Height of the axis from focus [um].
+        depth: Height of the axis above the focal plane [um].
         phase: Position of the body on the helix [rad].
         length: Length of the body [um].
         width: Width of the body [um].
@@ -69,7 +69,7 @@ class Swimmers:
         helix_um: Radius of the helix [um].
         helix_hz: Turns of the helix per second [Hz].
         a: Turning rate at the reference field [rad/s]. 0 for a cell without a magnet.
-        bias: Angle of the dipole from the axis [rad].
+        bias: Angle from the axis to the cell's magnetic dipole [rad].
         walk: Random walk of the heading [rad/sqrt(s)].
         resting: Whether the cell rests instead of swimming.
     """
@@ -93,32 +93,32 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Sample random cells, which begin at the origin.
+        """Sample random cells, all at the origin.
 
         Args:
             random: The random generator.
             count: Number of cells.
-            unmagnetised: How many of them, the last ones, have no magnet.
-            celsius: Temperature [C].
+            unmagnetised: Number of cells without a magnet, which come last.
+            celsius: Temperature of the medium [C].
         """
 
-        def normal(mean: float, deviation: float) -> Floats:
+        def sample_clipped(mean: float, deviation: float) -> Floats:
             return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
 
         a = A_RAD_S * elementwise.exp(random.normal(0, A_LOG_SD, count))
         a[count - unmagnetised :] = 0.0
-        median = SPEED_UM_S * speed_factor(celsius)
+        median_speed = SPEED_UM_S * compute_speed_factor(celsius)
         return cls(
             x=np.zeros(count),
             y=np.zeros(count),
             heading=random.uniform(-math.pi, math.pi, count),
             depth=random.normal(0, swimming.SINK_UM, count),
             phase=random.uniform(0, 2 * math.pi, count),
-            length=normal(*BODY_UM),
-            width=normal(*WIDTH_UM),
-            speed=median * elementwise.exp(random.normal(0, SPEED_LOG_SD, count)),
-            helix_um=normal(*HELIX_UM),
-            helix_hz=normal(*HELIX_HZ),
+            length=sample_clipped(*BODY_UM),
+            width=sample_clipped(*WIDTH_UM),
+            speed=median_speed * elementwise.exp(random.normal(0, SPEED_LOG_SD, count)),
+            helix_um=sample_clipped(*HELIX_UM),
+            helix_hz=sample_clipped(*HELIX_HZ),
             a=a,
             bias=random.normal(0, DIPOLE_SD_RAD, count),
             walk=np.full(count, WALK_RAD_S),
@@ -130,20 +130,22 @@ class Swimmers:
 
     def copy(self) -> Self:
         """Return an independent copy of the cells."""
-        copies = {name: values.copy() for name, values in vars(self).items()}
-        return replace(self, **copies)
+        copied_columns = {name: values.copy() for name, values in vars(self).items()}
+        return replace(self, **copied_columns)
 
     def joined(self, others: "Swimmers") -> "Swimmers":
-        """Return these cells followed by other cells, as one new set."""
-        appended = vars(others)
-        columns = {name: np.append(values, appended[name]) for name, values in vars(self).items()}
+        """Return these cells followed by other cells, as a new object."""
+        other_columns = vars(others)
+        columns = {
+            name: np.append(values, other_columns[name]) for name, values in vars(self).items()
+        }
         return Swimmers(**columns)
 
-    def kept(self, which: Bools) -> "Swimmers":
-        """Return the cells for which the mask `which`, shape (N,), is true, as a new set."""
-        return Swimmers(**{name: values[which] for name, values in vars(self).items()})
+    def select(self, mask: Bools) -> "Swimmers":
+        """Return the cells for which `mask`, shape (N,), is True, as a new object."""
+        return Swimmers(**{name: values[mask] for name, values in vars(self).items()})
 
-    def laid_out(
+    def to_cell_arrays(
         self,
         field: tuple[float, float] = (0.0, 0.0),
         drift: tuple[float, float] = (0.0, 0.0),
@@ -152,8 +154,8 @@ class Swimmers:
         """Copy the cells to arrays for the functions `swimming.step` and `swim`.
 
         Args:
-            field: B / B_ref times the unit vector of u. The turning rate is proportional to its
-                length.
+            field: The field B as a multiple of the reference field B_ref, in the direction u: x and
+                y. The turning rate is proportional to the length of this vector.
             drift: Flow of the medium [um/s].
             walls: Edges along which cells slide [um]. None if there are none.
         """
@@ -193,18 +195,19 @@ class Swimmers:
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> None:
-        """Advance every cell by its swimming motion, in place.
+        """Let every cell swim for a time, and change the states in place.
 
         Args:
-            field: B / B_ref times the unit vector of u. (0, 0) without a field.
+            field: The field B as a multiple of the reference field B_ref, in the direction u: x and
+                y. (0, 0) without a field.
             seconds: Duration [s].
             random: The random generator.
             drift: Flow of the medium [um/s].
             walls: Edges along which cells slide [um]. None if there are none.
         """
         noise = random.standard_normal((swimming.steps_in(seconds), 2, len(self)))
-        # plain floats: for a few cells ten times faster than arrays
-        arrays = self.laid_out(field, drift, walls)
+        # for a few cells, plain floats are ten times faster than arrays
+        arrays = self.to_cell_arrays(field, drift, walls)
         cells = CellArrays(*(values.tolist() for values in arrays))
         swimming.step(cells, seconds, noise.tolist())
         self.x = np.array(cells.x)
@@ -218,14 +221,12 @@ class Swimmers:
         self.resting[cell] = resting
 
     def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
-        """Return the cells after the one with the index `cell` has divided.
+        """Return the cells after the cell with the index `cell` has divided.
 
-        The new cell is the last.
-
-        Both cells have the mother's width and 0.8 of its length, share its magnet unequally, and
-        turn away from each other. The present object stays unchanged.
+        The new cell comes last. Both cells have the mother's width and 0.8 of its length, share its
+        magnet unequally, and turn away from each other. The present object stays unchanged.
         """
-        daughter = self.kept(np.arange(len(self)) == cell)
+        daughter = self.select(np.arange(len(self)) == cell)
         cells = self.copy()
         cells.length[cell] *= DIVIDED_LENGTH
         daughter.length *= DIVIDED_LENGTH
@@ -238,26 +239,26 @@ class Swimmers:
         return cells.joined(daughter)
 
 
-def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
-    """Return the edges of the arena in micrometres, each moved inwards by `rim_um` [um]."""
-    um = setup.metres * 1e6
+def compute_walls_um(setup: Setup, rim_um: float = 0.0) -> Bounds:
+    """Compute the edges of the arena in micrometres, each moved inwards by `rim_um` [um]."""
+    um_per_unit = setup.metres * 1e6
     arena = setup.arena
     return Bounds(
-        left=arena.left * um + rim_um,
-        bottom=arena.bottom * um + rim_um,
-        right=arena.right * um - rim_um,
-        top=arena.top * um - rim_um,
+        left=arena.left * um_per_unit + rim_um,
+        bottom=arena.bottom * um_per_unit + rim_um,
+        right=arena.right * um_per_unit - rim_um,
+        top=arena.top * um_per_unit - rim_um,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Bodies:
-    """The bodies of N cells as a camera sees them, arrays of shape (N,).
+    """The bodies of N cells as a camera sees them, as arrays of shape (N,).
 
     Attributes:
         x: x [um].
         y: y [um].
-        height: Height from focus [um].
+        height: Height above the focal plane [um].
         axis: Direction of the body in the image, which sways about the helix's axis [rad].
         tilt: Angle of the body out of the image's plane [rad].
     """
@@ -269,24 +270,24 @@ class Bodies:
     tilt: Floats
 
 
-def to_the_left(heading: Floats, distance: Floats) -> tuple[Floats, Floats]:
-    """Return the displacement x, y by a `distance` to the left of a heading [rad]."""
-    return -distance * elementwise.sin(heading), distance * elementwise.cos(heading)
+def offset_to_left(heading: Floats, distance_left: Floats) -> tuple[Floats, Floats]:
+    """Compute the displacement x, y by `distance_left` to the left of a heading [rad]."""
+    return -distance_left * elementwise.sin(heading), distance_left * elementwise.cos(heading)
 
 
 def bodies(cells: Swimmers) -> Bodies:
-    """Compute the bodies of cells from their positions on the helices.
+    """Compute where the bodies of cells are, and how they are tilted, from their helices.
 
     At the speed v on a helix of frequency f and radius r, the tilt is at most atan(2 pi f r / v).
     """
-    across = cells.helix_um * elementwise.cos(cells.phase)  # to the left of the axis
-    deep = cells.helix_um * elementwise.sin(cells.phase)
-    turning = 2 * math.pi * cells.helix_hz
-    left_x, left_y = to_the_left(cells.heading, across)
+    left_um = cells.helix_um * elementwise.cos(cells.phase)
+    height_um = cells.helix_um * elementwise.sin(cells.phase)
+    helix_rad_s = 2 * math.pi * cells.helix_hz
+    left_x, left_y = offset_to_left(cells.heading, left_um)
     return Bodies(
         x=cells.x + left_x,
         y=cells.y + left_y,
-        height=cells.depth + deep,
-        axis=cells.heading - elementwise.atan2(turning * deep, cells.speed),
-        tilt=elementwise.atan2(turning * across, cells.speed),
+        height=cells.depth + height_um,
+        axis=cells.heading - elementwise.atan2(helix_rad_s * height_um, cells.speed),
+        tilt=elementwise.atan2(helix_rad_s * left_um, cells.speed),
     )

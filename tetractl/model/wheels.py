@@ -2,7 +2,7 @@
 
 `Drivetrains` converts between wheel speeds and motor counts, `WheelHost` computes the speeds that a
 host sends, and `WheeledRobots` is the true motion. The emulated robots and the lab's actuator use
-them. The simulation runs their loops, `model.motion.rolling`, compiled.
+these classes. The simulation runs their compiled loops, see `model.motion.rolling`.
 
 A wheel runs at gain * (|count| - dead zone), and stands still within the dead zone. One count turns
 an m3pi at about 0.19 rad/s, too much to neglect. Therefore the rounding error is carried over to
@@ -41,14 +41,14 @@ COUNT_MAX = 127
 Counts = tuple[int, int]
 """Counts of one robot's two wheels, from -COUNT_MAX to COUNT_MAX."""
 STOP: Counts = (0, 0)
-"""The counts with which both wheels of a robot stand still."""
+"""The counts that stop both wheels of a robot."""
 CountArray = NDArray[np.int64]
 
 
-def body_velocity(
+def compute_body_velocity(
     left_speed: Floats, right_speed: Floats, r: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Compute speed v [length unit/s] and turning rate [rad/s] from wheel speeds.
+    """Compute robots' speeds [length unit/s] and turning rates [rad/s] from their wheel speeds.
 
         dx/dt = (right + left) cos(heading) / 2                                         (21)
         dy/dt = (right + left) sin(heading) / 2                                         (22)
@@ -60,8 +60,8 @@ def body_velocity(
         r: Distance from a wheel to the centre [length unit].
     """
     speed = (right_speed + left_speed) / 2
-    turning = (right_speed - left_speed) / (2 * r)
-    return speed, turning
+    turn_rate_rad_s = (right_speed - left_speed) / (2 * r)
+    return speed, turn_rate_rad_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +84,11 @@ class Drivetrains:
     swap: Bools
 
     def speeds(self, counts: CountArray) -> Floats:
-        """Return the wheel speeds, left and right, for counts (2, N) of the motors.
+        """Compute the speeds of left and right wheels [length unit/s] from motor counts, (2, N).
 
-        The speeds are in [length unit/s]. A wheel whose count is within its dead zone stands
-        still.
+        A wheel whose count is within its dead zone stands still.
         """
-        by_wheel = self._by_wheel(counts)
+        by_wheel = self._reorder_channels(counts)
         excess = np.maximum(np.abs(by_wheel) - self.dead_zone, 0)
         return self.gain * (np.sign(by_wheel) * excess)
 
@@ -113,17 +112,17 @@ class Drivetrains:
         if not np.isfinite(speeds).all():
             raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
         rounding_errors = rounding_errors.copy()
-        steps = count(speeds, rounding_errors, self.gain, self.dead_zone, self.limit)
-        by_wheel = (steps + np.sign(steps) * self.dead_zone).astype(np.int64)
-        return self._by_wheel(by_wheel), rounding_errors
+        count_excess = count(speeds, rounding_errors, self.gain, self.dead_zone, self.limit)
+        by_wheel = (count_excess + np.sign(count_excess) * self.dead_zone).astype(np.int64)
+        return self._reorder_channels(by_wheel), rounding_errors
 
-    def _by_wheel(self, counts: CountArray) -> CountArray:
-        """Reorder counts from motor channels to wheels, or from wheels to motor channels."""
+    def _reorder_channels(self, counts: CountArray) -> CountArray:
+        """Reorder counts from motor channels to wheels, or from wheels back to motor channels."""
         return np.where(self.swap, counts[::-1], counts) if self.swap.any() else counts
 
 
 class WheelHost:
-    """Computes the wheel speeds of N robots that all get the same direction.
+    """Computes the wheel speeds of N robots that all follow the same direction.
 
     Args:
         a: Turning rates [rad/s], shape (N,).
@@ -137,83 +136,90 @@ class WheelHost:
         self, a: Floats, speed: Floats, radius: Floats, lag_s: float, drivetrains: Drivetrains
     ) -> None:
         self.drivetrains = drivetrains
-        self._known = KnownRobots(a, speed, radius, lag_s)
-        self._sent = SentRates.none(a.size)
+        self._known_robots = KnownRobots(a, speed, radius, lag_s)
+        self._sent_rates = SentRates.none(a.size)
         self._rounding_errors = np.zeros((2, a.size))
 
-    def wished(
+    def compute_speeds(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
-        """Compute the wheel speeds (2, N) for a direction; see `wish`.
+        """Compute the wheel speeds (2, N) with which robots follow a direction; see `wish`.
 
         Args:
             heading: Measured headings [rad], shape (N,).
             u: The direction [rad].
-            since_ns: Time of the measurement.
-            acts_ns: When the command takes effect.
+            since_ns: Time of the measurement [ns].
+            acts_ns: When the command takes effect [ns].
             drives: Whether robots drive. If not, they turn on the spot.
         """
-        robots = self._known if drives else self._known.turning()
-        return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent)
+        robots = self._known_robots if drives else self._known_robots.turning()
+        return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent_rates)
 
     def assume_lag(self, lag_s: float) -> None:
-        """Set the lag of the wheels that the host assumes [s], starting with the next command."""
-        self._known = self._known._replace(lag_s=lag_s)
+        """Set the lag of the wheels [s] that the host assumes, starting with the next command."""
+        self._known_robots = self._known_robots._replace(lag_s=lag_s)
 
-    def counts(self, wished: Floats) -> CountArray:
-        """Return the counts (2, N) to send for wheel speeds (2, N) [length unit/s].
+    def counts(self, speeds: Floats) -> CountArray:
+        """Compute the counts (2, N) to send for wheel speeds (2, N) [length unit/s].
 
-        The rounding errors are kept, and are corrected by the next call.
+        The next call corrects the rounding errors of this call.
         """
-        counts, self._rounding_errors = self.drivetrains.counts(wished, self._rounding_errors)
+        counts, self._rounding_errors = self.drivetrains.counts(speeds, self._rounding_errors)
         return counts
 
-    def sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
+    def record_sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
         """Record wheel speeds (2, N) that were sent and take effect at `acts_ns` [ns].
 
         Returns:
             The speeds [length unit/s] and turning rates [rad/s] of the robots, (N,) each.
         """
-        if self._known.lag_s > 0:
-            self._sent = self._sent.with_room()
-            note(self._sent, acts_ns, speeds, self._known.radius)
-        return body_velocity(speeds[0], speeds[1], self._known.radius)
+        if self._known_robots.lag_s > 0:
+            self._sent_rates = self._sent_rates.with_room()
+            note(self._sent_rates, acts_ns, speeds, self._known_robots.radius)
+        return compute_body_velocity(speeds[0], speeds[1], self._known_robots.radius)
 
 
-NOTHING = np.zeros((0, 0))
+NO_NUMBERS = np.zeros((0, 0))
 """An empty array of random numbers, for robots whose headings have no random walk."""
 
 
 class WheeledRobots:
     """The true motion of N robots on wheels that follow target speeds with a first-order lag.
 
-    `body` (ROWS, N) is their state; see `rolling.roll`. `pose` (3, N), `wheels` (2, N) and
-    `targets` (2, N) are parts of it: x, y and heading, the present and the target speeds of the
-    wheels.
+    Attributes:
+        body: The state of the robots, shape (ROWS, N); see `rolling.roll`. `pose`, `wheels` and
+            `targets` are views of its rows.
+        pose: x, y and heading, shape (3, N).
+        wheels: The present speeds of left and right wheels [length unit/s], shape (2, N).
+        targets: The speeds that the wheels follow [length unit/s], shape (2, N).
+        radius: True distance from a wheel to the centre [length unit], shape (N,).
 
     Args:
         poses: The poses at the start.
         radius: True distance from a wheel to the centre [length unit].
         lag_s: Time constant of the wheels [s], for all robots or for each (N,). 0 for no lag.
-        still: A stopped robot stands still once its wheels are slower than this [length unit/s].
+        standstill_speed: A stopped robot stands still once its wheels are slower than this speed
+            [length unit/s].
     """
 
     roll = staticmethod(roll)
 
-    def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
+    def __init__(
+        self, poses: Poses, radius: Floats, lag_s: float | Floats, standstill_speed: float
+    ) -> None:
         self.body = np.zeros((ROWS, radius.size))
         self.radius = radius
         self.pose = self.body[X : HEADING + 1]
         self.wheels = self.body[LEFT : RIGHT + 1]
         self.targets = self.body[LEFT_TARGET : RIGHT_TARGET + 1]
         self.body[LAG] = lag_s
-        self.body[STANDS_BELOW] = still
+        self.body[STANDS_BELOW] = standstill_speed
         self.poses = poses
         self.scale(np.ones(radius.size), np.ones(radius.size))
 
     @property
     def poses(self) -> Poses:
-        """The present poses of all robots, as a copy. Setting them moves the robots."""
+        """A copy of the present poses of all robots. Setting the poses moves the robots."""
         return Poses(*self.pose.copy())
 
     @poses.setter
@@ -222,32 +228,37 @@ class WheeledRobots:
         self.body[Y] = poses.y
         self.body[HEADING] = poses.heading
 
-    def scale(self, turning: Floats, speed: Floats) -> None:
-        """Set the ratios (N,) of true to ideal turning rates and speeds, for example for slip.
+    def scale(self, turn_ratios: Floats, speed_ratios: Floats) -> None:
+        """Set the ratios of true to ideal turning rates and speeds, for example for slip.
 
-        They replace the ratios of the previous call.
+        The new ratios replace the ratios of the previous call.
+
+        Args:
+            turn_ratios: Ratios of the turning rates, shape (N,).
+            speed_ratios: Ratios of the speeds, shape (N,).
         """
-        self.body[TURNS] = turning / (2 * self.radius)
-        self.body[MOVES] = speed / 2
+        self.body[TURNS] = turn_ratios / (2 * self.radius)
+        self.body[MOVES] = speed_ratios / 2
 
     def drive(
         self,
         since_ns: int,
-        times: Times,
-        ticks: Bools | None = None,
-        walk: float = 0.0,
-        drawn: Floats = NOTHING,
+        times_ns: Times,
+        has_swerve: Bools | None = None,
+        swerve_rad: float = 0.0,
+        deviates: Floats = NO_NUMBERS,
     ) -> Floats:
         """Advance the robots, and return x, y and heading (M, 3, N); see `rolling.roll`.
 
         Args:
             since_ns: The time of the present state [ns].
-            times: Times of the poses [ns], shape (M,).
-            ticks: Whether the heading swerves at each time, shape (M,). None if it never does.
-            walk: Size of a swerve [rad].
-            drawn: Standard normal numbers for the swerves.
+            times_ns: Times of the poses [ns], shape (M,).
+            has_swerve: Whether the headings swerve at each time, shape (M,). None if they never
+                swerve.
+            swerve_rad: Standard deviation of a swerve [rad].
+            deviates: Standard normal numbers for the swerves, one row for each time with a swerve.
         """
-        ticks = np.zeros(times.size, np.bool_) if ticks is None else ticks
-        path = np.empty((times.size, *self.pose.shape))
-        self.roll(self.body, since_ns, times, ticks, walk, drawn, path)
+        has_swerve = np.zeros(times_ns.size, np.bool_) if has_swerve is None else has_swerve
+        path = np.empty((times_ns.size, *self.pose.shape))
+        self.roll(self.body, since_ns, times_ns, has_swerve, swerve_rad, deviates, path)
         return path

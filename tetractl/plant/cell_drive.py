@@ -15,7 +15,7 @@ from tetractl.core.elementary import cos, sin
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.model.motion.swimming import CellArrays, steps_until
-from tetractl.model.swimmers import Swimmers, to_the_left, walls_of
+from tetractl.model.swimmers import Swimmers, compute_walls_um, offset_to_left
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_section import CultureSection
 from tetractl.spec.disturbance import DelayedCommand
@@ -78,8 +78,8 @@ class CellDrive:
         flow_y_um_s = section.drift * sin(flow_direction)
         walls = None
         if section.walls:
-            walls = walls_of(setup, rim_um=float(cells.helix_um.max()))
-        return cells.laid_out(drift=(flow_x_um_s, flow_y_um_s), walls=walls)
+            walls = compute_walls_um(setup, rim_um=float(cells.helix_um.max()))
+        return cells.to_cell_arrays(drift=(flow_x_um_s, flow_y_um_s), walls=walls)
 
     @property
     def poses(self) -> Poses:
@@ -91,7 +91,7 @@ class CellDrive:
         """Set the poses of the bodies, by placing each cell's axis accordingly."""
         cells = self.cells
         to_the_left_um = cells.helix_um * elementwise.cos(cells.phase)
-        x_um, y_um = to_the_left(poses.heading, to_the_left_um)
+        x_um, y_um = offset_to_left(poses.heading, to_the_left_um)
         cells.x[:] = poses.x * self._um_per_unit - x_um
         cells.y[:] = poses.y * self._um_per_unit - y_um
         cells.heading[:] = poses.heading

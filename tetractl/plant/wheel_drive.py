@@ -11,7 +11,7 @@ from tetractl.core import elementary
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.model.motion.rolling import MOVING
-from tetractl.model.wheels import NOTHING, WheeledRobots
+from tetractl.model.wheels import NO_NUMBERS, WheeledRobots
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.wheel_host import SimHost
@@ -94,7 +94,7 @@ class WheelDrive(WheeledRobots):
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
         """Move the robots, and return x, y and heading (M, 3, N); see `Drive.advance`."""
-        walk_deviates = NOTHING
+        walk_deviates = NO_NUMBERS
         if self._heading_walk_rad > 0:
             walk_deviates = self._walk_random.standard_normal(
                 (np.count_nonzero(samples), self._is_able.size)

@@ -18,8 +18,8 @@ from tetractl.core.elementary import expm1
 from tetractl.core.poses import Floats, describe_excess_angle, wrap
 from tetractl.core.setup import Setup
 from tetractl.model import bounds
-from tetractl.model.bounds import reach
-from tetractl.model.free_space import blocked_target_distances, clearance
+from tetractl.model.bounds import compute_min_distances
+from tetractl.model.free_space import blocked_target_distances, compute_clearances
 from tetractl.spec.base import ANGLE_MARK
 from tetractl.spec.consistency import Findings, SpecFinding, find_nearest
 from tetractl.spec.experiment import Experiment
@@ -129,7 +129,7 @@ class CheckContext:
 
     def clearances(self, points: Floats) -> Floats:
         """Return the distances of points (N, 2) to the nearest obstacle or wall."""
-        return clearance(self.setup, points[:, 0], points[:, 1], self.avoids_walls)
+        return compute_clearances(self.setup, points[:, 0], points[:, 1], self.avoids_walls)
 
     def length_text(self, length: float) -> str:
         """Return a length as text, with the unit of the spec, such as "12.5 mm"."""
@@ -269,7 +269,7 @@ def inseparable_robots(context: CheckContext) -> Findings:
                 similar.starts, heading=np.full_like(similar.a, similar.starts.heading[0])
             ),
         )
-        error_min = bounds.least_total_error(identical_robots, context.trial_max_s)
+        error_min = bounds.compute_min_total_error(identical_robots, context.trial_max_s)
         if context.is_worth_warning(error_min, len(group)):
             yield SpecFinding(
                 ("robots", group[1], "a"),
@@ -339,7 +339,7 @@ def _join_names(names: Sequence[str]) -> str:
 
 def targets_out_of_reach(context: CheckContext) -> Findings:
     """Targets that a robot cannot reach in a trial, even along a straight line."""
-    for i, shortfall in enumerate(reach(context.setup, context.trial_max_s)):
+    for i, shortfall in enumerate(compute_min_distances(context.setup, context.trial_max_s)):
         if shortfall > context.tolerance:
             yield SpecFinding(
                 ("robots", i, "target"),
@@ -354,9 +354,9 @@ def targets_beyond_plan(context: CheckContext) -> Findings:
     """The furthest target that a robot can reach in a trial, but not in the longest plan."""
     if context.plan_max_s == math.inf:
         return
-    shortfalls = reach(context.setup, context.plan_max_s)
+    shortfalls = compute_min_distances(context.setup, context.plan_max_s)
     out_of_plan = (shortfalls > context.tolerance) & (
-        reach(context.setup, context.trial_max_s) <= context.tolerance
+        compute_min_distances(context.setup, context.trial_max_s) <= context.tolerance
     )
     if not out_of_plan.any():
         return
@@ -377,7 +377,7 @@ def targets_beyond_plan(context: CheckContext) -> Findings:
 
 def unavoidable_error(context: CheckContext) -> Findings:
     """A lower bound of the total error that is above 0, so that no plan reaches all targets."""
-    error_min = bounds.least_total_error(context.setup, context.trial_max_s)
+    error_min = bounds.compute_min_total_error(context.setup, context.trial_max_s)
     if context.is_worth_warning(error_min, len(context.setup.a)):
         yield SpecFinding(
             ("robots",),

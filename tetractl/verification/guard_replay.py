@@ -17,7 +17,7 @@ from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_observer import GuardObserver, Intervention
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import compute_body_velocity
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabLimits, LabSection
 
@@ -173,5 +173,5 @@ def note_speeds(guard: Guard | GuardObserver, log: TrialLog, command: Command) -
     """
     wheel_radius = log.start.setup.wheel_radius
     if wheel_radius is not None and command.left is not None and command.right is not None:
-        speed, turning = body_velocity(command.left, command.right, wheel_radius)
+        speed, turning = compute_body_velocity(command.left, command.right, wheel_radius)
         guard.record_transmission(command.sent_ns, speed.tolist(), turning.tolist())

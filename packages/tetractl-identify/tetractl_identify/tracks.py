@@ -10,7 +10,7 @@ from tetractl.core.commands import FieldOff, Steer
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import compute_body_velocity
 
 SETTLING_S = 0.5
 """Time after the first direction that follows a pause until all robots drive again [s]."""
@@ -233,7 +233,7 @@ def extract_wheel_track(log: TrialLog) -> Track:
             delivered.append(command.delivered)
     if not sent_ns or radius is None:
         raise UsageError(f"{log.log}: the log has no wheel speeds")
-    velocity = body_velocity(np.array(left_speeds), np.array(right_speeds), radius)
+    velocity = compute_body_velocity(np.array(left_speeds), np.array(right_speeds), radius)
     twists = np.stack(velocity, axis=-1)
     received = np.array(delivered)
     twists[~received] = math.nan

@@ -175,7 +175,7 @@ def _swum(
         cells.swim((math.cos(direction), math.sin(direction)), STEP_S, random, drift)
     if divides is not None:
         is_daughter = np.arange(len(cells)) == len(cells) - 1
-        absent = past[-1].kept(is_daughter)
+        absent = past[-1].select(is_daughter)
         absent.x[:] = absent.y[:] = np.nan
         past = [then if len(then) == len(cells) else then.joined(absent) for then in past]
     return past

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from testkit.bounded import best_plan, seconds_of, spec
 
-from tetractl.model.bounds import drift, least_total_error
+from tetractl.model.bounds import compute_drift_bounds, compute_min_total_error
 
 pytestmark = pytest.mark.slow
 
 
 def most_drift(a_1, a_2, turned, seconds):
     """The bound of `drift`, of two robots alone."""
-    return drift(np.asarray(a_1), np.asarray(a_2), np.asarray(turned), seconds)
+    return compute_drift_bounds(np.asarray(a_1), np.asarray(a_2), np.asarray(turned), seconds)
 
 
 def widest_gap(a_1, a_2, turned, seconds):
@@ -69,7 +69,7 @@ def test_no_plan_undercuts_the_bound(seed, motion):
     robots = int(rng.integers(1, 5))
     signals = int(rng.integers(4, 14))
     experiment = spec(rng, robots=robots, signals=signals, motion=motion)
-    least = least_total_error(experiment.setup, seconds_of(experiment))
+    least = compute_min_total_error(experiment.setup, seconds_of(experiment))
     plan = best_plan(experiment)
     assert plan >= least - 1e-6
     setup = experiment.setup
@@ -77,7 +77,7 @@ def test_no_plan_undercuts_the_bound(seed, motion):
     as_first = replace(
         setup, a=np.full_like(setup.a, setup.a[0]), starts=replace(setup.starts, heading=headings)
     )
-    together = least_total_error(as_first, seconds_of(experiment))
+    together = compute_min_total_error(as_first, seconds_of(experiment))
     assert together >= least - 1e-6
 
 
@@ -87,7 +87,7 @@ def test_three_robots_alike_are_bounded_by_their_pairs_together():
     setup = spec(rng, robots=3, signals=30, kind="equal").setup
     corners = 300 * np.array([[0, 0], [1, 0], [0.5, math.sqrt(3) / 2]])
     setup = replace(setup, speed=np.full(3, 100.0), targets=setup.starts.xy + corners)
-    assert least_total_error(setup, 60.0) == pytest.approx(450)
+    assert compute_min_total_error(setup, 60.0) == pytest.approx(450)
 
 
 def test_if_the_solver_fails_the_best_single_pair_still_bounds(monkeypatch):
@@ -95,7 +95,7 @@ def test_if_the_solver_fails_the_best_single_pair_still_bounds(monkeypatch):
     setup = spec(rng, robots=3, signals=30, kind="equal").setup
     corners = 300 * np.array([[0, 0], [1, 0], [0.25, 0]])
     setup = replace(setup, speed=np.full(3, 100.0), targets=setup.starts.xy + corners)
-    assert least_total_error(setup, 60.0) == pytest.approx(300)
+    assert compute_min_total_error(setup, 60.0) == pytest.approx(300)
     solve = scipy.optimize.linprog
 
     def fails(*args, **options):
@@ -104,4 +104,4 @@ def test_if_the_solver_fails_the_best_single_pair_still_bounds(monkeypatch):
         return solved
 
     monkeypatch.setattr(scipy.optimize, "linprog", fails)
-    assert least_total_error(setup, 60.0) == pytest.approx(300)
+    assert compute_min_total_error(setup, 60.0) == pytest.approx(300)

@@ -22,7 +22,7 @@ EQUATIONS = {
     "(9)": cost.costs_along,
     "(14)-(17)": update.move.py_func,
     "(20)": stop,
-    "(21)": wheels.body_velocity,
+    "(21)": wheels.compute_body_velocity,
     "(21)-(23)": wheel_equations.arc_displacement,
     "(24)-(25)": wheel_equations.wheel_speeds,
 }

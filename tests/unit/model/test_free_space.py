@@ -12,7 +12,11 @@ from testkit.bounded import shapes, spec
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
-from tetractl.model.free_space import blocked_target_distances, clearance, connected
+from tetractl.model.free_space import (
+    blocked_target_distances,
+    compute_clearances,
+    find_connected_cells,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -37,13 +41,13 @@ CUP = [wall(700, 300, 20, 400), wall(700, 300, 300, 20), wall(700, 680, 300, 20)
 
 
 def test_a_wall_across_the_arena_shuts_out():
-    (apart,) = blocked_target_distances(setup(WALL), 0.0, walls=True)
+    (apart,) = blocked_target_distances(setup(WALL), 0.0, has_walls=True)
     assert 420 - 10 < apart <= 420  # from the wall's left side to the target
 
 
 def test_a_target_in_a_cup_that_the_arenas_edge_closes():
-    assert blocked_target_distances(setup(*CUP), 0.0, walls=True) > 150
-    assert blocked_target_distances(setup(*CUP), 0.0, walls=False) == [0]
+    assert blocked_target_distances(setup(*CUP), 0.0, has_walls=True) > 150
+    assert blocked_target_distances(setup(*CUP), 0.0, has_walls=False) == [0]
 
 
 @pytest.mark.parametrize(
@@ -51,15 +55,15 @@ def test_a_target_in_a_cup_that_the_arenas_edge_closes():
 )
 def test_a_gap_is_as_wide_as_the_margin_leaves_it(gap, margin, open_):
     halves = [wall(480, -100, 40, 600 - gap / 2), wall(480, 500 + gap / 2, 40, 600)]
-    assert (blocked_target_distances(setup(*halves), margin, walls=True) == 0) == open_
+    assert (blocked_target_distances(setup(*halves), margin, has_walls=True) == 0) == open_
 
 
 def test_the_clearance_counts_walls_where_there_are_any():
     walled = setup(WALL)
     x = np.array([100.0, 20.0])
     y = np.array([500.0, 500.0])
-    np.testing.assert_allclose(clearance(walled, x, y, walls=True), [100, 20])
-    np.testing.assert_allclose(clearance(walled, x, y, walls=False), [380, 460])
+    np.testing.assert_allclose(compute_clearances(walled, x, y, has_walls=True), [100, 20])
+    np.testing.assert_allclose(compute_clearances(walled, x, y, has_walls=False), [380, 460])
 
 
 @pytest.mark.long
@@ -85,7 +89,9 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
 
     obstacles = list(filter(is_off_the_path, shapes(things)))
     assert len(obstacles) > 20
-    assert blocked_target_distances(placed(obstacles, path[0], path[-1]), margin, walls=True) == [0]
+    assert blocked_target_distances(
+        placed(obstacles, path[0], path[-1]), margin, has_walls=True
+    ) == [0]
 
 
 SIZES = st.integers(1, 30)
@@ -98,7 +104,7 @@ def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
     cells = rng.random((rows, columns)) < 0.01
     regions, _ = label(free, np.ones((3, 3)))
     expected = np.isin(regions, regions[cells & free])
-    assert np.array_equal(connected(cells, free), expected)
+    assert np.array_equal(find_connected_cells(cells, free), expected)
 
 
 WIDE = Bounds(0, 0, 1000, 600)
@@ -150,9 +156,9 @@ def test_how_near_a_robot_comes_is_never_overstated():
         setup(*(wall(*side) for side in sides), target=(900, 500)), arena=Bounds(0, 0, 1200, 1000)
     )
     for margin in (0.0, 20.0):
-        (apart,) = blocked_target_distances(boxed, margin, walls=True)
+        (apart,) = blocked_target_distances(boxed, margin, has_walls=True)
         assert 160 + margin - 20 < apart <= 160 + margin
-        (outside,) = blocked_target_distances(boxed, margin, walls=False)
+        (outside,) = blocked_target_distances(boxed, margin, has_walls=False)
         assert outside == pytest.approx(apart)
 
 
@@ -163,23 +169,23 @@ def test_each_robot_has_a_start_and_a_target_of_its_own():
         starts=Poses.from_array(np.array([[100.0, 500, 0], [900, 300, 0]])),
         targets=np.array([[900.0, 500], [950.0, 700]]),
     )
-    first, second = blocked_target_distances(both, 0.0, walls=True)
+    first, second = blocked_target_distances(both, 0.0, has_walls=True)
     assert first > 400
     assert second == 0
 
 
 def test_of_a_start_inside_an_obstacle_or_nearer_than_the_margin_nothing_is_said():
-    assert blocked_target_distances(setup(WALL, start=(500, 500)), 0.0, walls=True) == [0]
-    assert blocked_target_distances(setup(WALL, start=(470, 500)), 40.0, walls=True) == [0]
-    assert blocked_target_distances(setup(WALL, start=(430, 500)), 40.0, walls=True) > 400
+    assert blocked_target_distances(setup(WALL, start=(500, 500)), 0.0, has_walls=True) == [0]
+    assert blocked_target_distances(setup(WALL, start=(470, 500)), 40.0, has_walls=True) == [0]
+    assert blocked_target_distances(setup(WALL, start=(430, 500)), 40.0, has_walls=True) > 400
 
 
 @pytest.mark.parametrize("start", [(0, 0), (1000, 0), (0, 1000), (1000, 1000)])
 def test_corners_of_the_arena_are_places_too(start):
     far = (1000 - start[0], 1000 - start[1])
-    assert blocked_target_distances(setup(start=start, target=far), 0.0, walls=True) == [0]
+    assert blocked_target_distances(setup(start=start, target=far), 0.0, has_walls=True) == [0]
 
 
 def test_a_wall_that_ends_at_the_arenas_edge_is_passed_only_outside():
-    assert blocked_target_distances(setup(wall(480, 0, 40, 1000)), 0.0, walls=True) > 400
-    assert blocked_target_distances(setup(wall(480, 0, 40, 1000)), 0.0, walls=False) == [0]
+    assert blocked_target_distances(setup(wall(480, 0, 40, 1000)), 0.0, has_walls=True) > 400
+    assert blocked_target_distances(setup(wall(480, 0, 40, 1000)), 0.0, has_walls=False) == [0]

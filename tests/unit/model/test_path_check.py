@@ -12,7 +12,7 @@ from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.model import path_check
-from tetractl.model.path_check import COMPARE_ALL_MAX, PathCheck, check_path, separations
+from tetractl.model.path_check import COMPARE_ALL_MAX, PathCheck, check_path, compute_separations
 from tetractl.model.shapes import Circle, Rectangle
 
 pytestmark = pytest.mark.slow
@@ -91,15 +91,15 @@ def test_without_obstacles_nothing_is_entered_and_the_clearance_is_infinite():
 
 
 def test_a_single_robot_is_infinitely_far_from_others():
-    assert separations(np.zeros((1, 5)), np.zeros((1, 5))).tolist() == [np.inf]
+    assert compute_separations(np.zeros((1, 5)), np.zeros((1, 5))).tolist() == [np.inf]
 
 
 def test_the_first_and_the_last_robot_are_compared_too():
     x = np.array([[0.0, 0.0], [50.0, 7.0], [0.0, 3.0]])
-    assert separations(x, np.zeros_like(x)) == pytest.approx([0, 4, 0])
-    assert separations(x[::-1], np.zeros_like(x)) == pytest.approx([0, 4, 0])
+    assert compute_separations(x, np.zeros_like(x)) == pytest.approx([0, 4, 0])
+    assert compute_separations(x[::-1], np.zeros_like(x)) == pytest.approx([0, 4, 0])
     y = np.array([[0.0, 4.0], [90.0, 90.0], [30.0, 8.0]])
-    assert separations(x, y) == pytest.approx([5, np.hypot(50, 60), 5])
+    assert compute_separations(x, y) == pytest.approx([5, np.hypot(50, 60), 5])
 
 
 def test_a_robot_that_is_not_tracked_is_near_to_nobody():
@@ -126,7 +126,7 @@ def test_a_recorded_path_is_checked_in_blocks_as_at_once(seed, block):
     path[~tracked] = 800.0, 700.0, 0.0  # in the box: what is not tracked must not count
     final = Poses.from_array(path[-1])
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(path_check, "SAMPLES_AT_A_TIME", block)
+        patched.setattr(path_check, "BLOCK_SAMPLES", block)
         verdict = check_path(SETUP, path, tracked, final)
     assert verdict.final is final
     for i in range(3):

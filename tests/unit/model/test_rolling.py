@@ -21,7 +21,7 @@ from tetractl.model.motion.rolling import (
     note,
     wish,
 )
-from tetractl.model.wheels import WheeledRobots, body_velocity
+from tetractl.model.wheels import WheeledRobots, compute_body_velocity
 
 MS = SECOND // 1000
 SEEDS = st.integers(0, 2**32)
@@ -121,7 +121,7 @@ def test_there_is_always_room_for_one_more_rate_and_nothing_gets_lost():
     number = 40
     assert sent.times_ns[:number].tolist() == [k * MS for k in range(number)]
     assert (sent.times_ns[number:] == NEVER_NS).all()
-    speeds = body_velocity(np.array([0.0, 39.0]), np.array([78.0, 0.0]), RADIUS)
+    speeds = compute_body_velocity(np.array([0.0, 39.0]), np.array([78.0, 0.0]), RADIUS)
     assert sent.rates[39] == pytest.approx(speeds[1])
     assert len(sent.times_ns) <= 2 * number
 
@@ -153,11 +153,11 @@ def test_the_lag_decides_which_headings_the_speeds_are_for():
     at_rest = headings_at_rest(heading, 10 * MS, 30 * MS, 0.05, random_copy(sent))
     robots = KnownRobots(A, speed, RADIUS, 0.05)
     left, right = wish(heading, u, 10 * MS, 30 * MS, robots, sent)
-    driven, turning = body_velocity(left, right, RADIUS)
+    driven, turning = compute_body_velocity(left, right, RADIUS)
     assert driven == pytest.approx(speed)
     assert turning == pytest.approx(A * np.sin(u - at_rest))
     left, right = wish(heading, u, 10 * MS, 30 * MS, robots.turning(), sent)
-    driven, turning = body_velocity(left, right, RADIUS)
+    driven, turning = compute_body_velocity(left, right, RADIUS)
     assert driven == pytest.approx([0, 0], abs=1e-9)
     assert turning == pytest.approx(A * np.sin(u - at_rest))
 
@@ -294,7 +294,7 @@ def test_a_slow_robot_that_drives_does_not_stand():
 
 def test_slip_scales_how_far_robots_drive_and_turn():
     robots = robots_of()
-    robots.scale(turning=np.array([0.5, 1.0]), speed=np.array([1.0, 0.25]))
+    robots.scale(turn_ratios=np.array([0.5, 1.0]), speed_ratios=np.array([1.0, 0.25]))
     path = robots.drive(0, np.array([10 * MS]))
     turning = 30.0 / (2 * RADIUS) * [0.5, 1.0]
     assert path[0, 2] == pytest.approx(0.01 * turning)

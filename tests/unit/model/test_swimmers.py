@@ -7,7 +7,7 @@ import pytest
 from testkit.trials import experiment
 
 from tetractl.core.setup import Bounds
-from tetractl.model.swimmers import Swimmers, bodies, speed_factor, walls_of
+from tetractl.model.swimmers import Swimmers, bodies, compute_speed_factor, compute_walls_um
 
 pytestmark = pytest.mark.slow
 
@@ -70,10 +70,10 @@ def test_speeds_are_log_normal_and_grow_by_four_per_cent_a_degree():
     drawn = Swimmers.drawn(np.random.default_rng(2), 4000).speed
     assert np.median(drawn) == pytest.approx(420, rel=0.02)
     assert np.std(np.log(drawn)) == pytest.approx(0.25, rel=0.05)
-    assert speed_factor(20.0) == 1.0
-    assert speed_factor(21.0) == pytest.approx(1.037, abs=0.003)
+    assert compute_speed_factor(20.0) == 1.0
+    assert compute_speed_factor(21.0) == pytest.approx(1.037, abs=0.003)
     with pytest.raises(ValueError, match="60 C"):
-        speed_factor(60.0)
+        compute_speed_factor(60.0)
 
 
 def test_a_culture_repeats_by_its_seed_and_strangers_have_no_magnet():
@@ -96,10 +96,10 @@ def test_a_cell_divides_into_two_that_share_its_magnet():
 def test_speeds_follow_arrhenius_from_0_to_40_degrees(celsius):
     kelvin = 273.15 + celsius
     expected = math.exp(0.27 / 8.617e-5 * (1 / 293.15 - 1 / kelvin))
-    assert speed_factor(celsius) == pytest.approx(expected)
+    assert compute_speed_factor(celsius) == pytest.approx(expected)
     for outside in (-0.1, 40.1):
         with pytest.raises(ValueError, match="give 0 to 40"):
-            speed_factor(outside)
+            compute_speed_factor(outside)
 
 
 def test_cells_vary_as_cultures_do_but_no_size_by_more_than_half_of_its_mean():
@@ -130,12 +130,12 @@ def test_a_body_is_to_the_left_of_its_axis_at_first_and_above_it_a_quarter_later
 
 def test_walls_are_those_of_the_arena_in_micrometres():
     setup = experiment().setup  # in mm: 600 to 2200 across, 350 to 2150 upwards
-    walls = walls_of(setup, 30.0)
+    walls = compute_walls_um(setup, 30.0)
     assert walls.left == pytest.approx(600_030)
     assert walls.right == pytest.approx(2_199_970)
     assert walls.bottom == pytest.approx(350_030)
     assert walls.top == pytest.approx(2_149_970)
-    assert walls_of(setup).left == pytest.approx(600_000)
+    assert compute_walls_um(setup).left == pytest.approx(600_000)
 
 
 def test_what_happens_to_copies_and_parts_does_not_happen_to_the_cells():
@@ -143,11 +143,11 @@ def test_what_happens_to_copies_and_parts_does_not_happen_to_the_cells():
     swimmers.x[:] = 1.0, 2.0, 3.0
     copied = swimmers.copy()
     copied.x[:] = 9.0
-    laid_out = swimmers.laid_out()
+    laid_out = swimmers.to_cell_arrays()
     laid_out.heading[:] = 9.0
     assert swimmers.x.tolist() == [1, 2, 3]
     assert not swimmers.heading.any()
-    kept = swimmers.kept(np.array([True, False, True]))
+    kept = swimmers.select(np.array([True, False, True]))
     assert (kept.x.tolist(), len(kept)) == ([1, 3], 2)
     joined = kept.joined(copied)
     assert joined.x.tolist() == [1, 3, 9, 9, 9]

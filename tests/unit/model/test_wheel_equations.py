@@ -12,7 +12,7 @@ from tetractl.model.motion.wheel_equations import (
     arc_displacement,
     wheel_speeds,
 )
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import compute_body_velocity
 
 angles = st.floats(-8, 8)
 numbers = st.floats(-500, 500)
@@ -41,6 +41,6 @@ def test_the_mirror_image_of_an_arc_turns_the_other_way(heading, turn, distance)
 @given(st.floats(-1, 1), st.floats(0.1, 9), st.floats(0, 400), st.floats(5, 80))
 def test_wheel_speeds_make_a_robot_drive_and_turn_by_1_to_3(sine, a, speed, radius):
     left, right = wheel_speeds(sine, a, speed, radius)
-    assert body_velocity(left, right, radius) == pytest.approx((speed, a * sine), abs=1e-9)
+    assert compute_body_velocity(left, right, radius) == pytest.approx((speed, a * sine), abs=1e-9)
     if sine > 0:  # to the left, so that the right wheel is the faster one
         assert right >= left

@@ -15,7 +15,7 @@ from tetractl.model.wheels import (
     Drivetrains,
     WheeledRobots,
     WheelHost,
-    body_velocity,
+    compute_body_velocity,
 )
 from tetractl.plant import drive_kernels as kernels
 
@@ -27,7 +27,7 @@ def test_the_papers_robot_by_hand():
     6 rad/s, for which each wheel drives 6 * 40 mm/s more or less."""
     left_mm_s, right_mm_s = wheel_speeds(1.0, np.array([6.0]), np.array([180.0]), 40)
     assert (left_mm_s[0], right_mm_s[0]) == (180 - 240, 180 + 240)  # (24), (25)
-    assert body_velocity(left_mm_s, right_mm_s, 40) == (180, 6)  # (21)-(23)
+    assert compute_body_velocity(left_mm_s, right_mm_s, 40) == (180, 6)  # (21)-(23)
 
 
 def headings_at_rest(lag_s, sent, frames, acts_ns):
@@ -133,8 +133,8 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
         rates = rates.with_room()
         wishes = robots if drives else robots.turning()
         speeds = kernels.answer(heading, np.full(count, u), seen_ns, acts_ns, wishes, rates, trains)
-        wished = host.wished(heading, u, seen_ns, acts_ns, drives)
-        host.sent(acts_ns, wished)
+        wished = host.compute_speeds(heading, u, seen_ns, acts_ns, drives)
+        host.record_sent(acts_ns, wished)
         counts = host.counts(wished)
         assert speeds[0].tolist() == calibrated.speeds(counts).tolist()
         assert speeds[1].tolist() == true.speeds(counts).tolist()
@@ -149,9 +149,9 @@ def test_a_host_that_is_told_a_lag_computes_what_one_does_that_knows_it():
     hosts[1].assume_lag(0.133)
     wished = []
     for host in hosts:
-        host.sent(0, np.array([[10.0, 20.0], [60.0, 90.0]]))
+        host.record_sent(0, np.array([[10.0, 20.0], [60.0, 90.0]]))
         heading = np.array([0.2, -1.0])
-        wished.append(host.wished(heading, 1.0, SECOND // 10, SECOND // 5).tolist())
+        wished.append(host.compute_speeds(heading, 1.0, SECOND // 10, SECOND // 5).tolist())
     assert wished[1] == wished[0]
     assert wished[1] != wished[2]
 
@@ -168,7 +168,7 @@ def integrated_path(pose, wheels, targets):
     poses = []
     for k in range(round(DRIVE_S / step_s)):
         decay = math.exp(-(k + 0.5) * step_s / LAG_S)
-        speed, turning = body_velocity(*(targets + (wheels - targets) * decay), RADIUS)
+        speed, turning = compute_body_velocity(*(targets + (wheels - targets) * decay), RADIUS)
         course = pose[2] + turning * step_s / 2
         rates = np.array([speed * np.cos(course), speed * np.sin(course), turning])
         pose = pose + step_s * rates

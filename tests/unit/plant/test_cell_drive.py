@@ -75,7 +75,7 @@ def test_compiled_they_swim_as_the_readable_ones_do():
     cells = Swimmers.drawn(random, 12)
     cells.x, cells.y = random.uniform(0, 1000, (2, 12))
     cells.resting[3] = True
-    plain = cells.laid_out((0.6, -0.8), (3.0, -2.0), Bounds(0.0, 0.0, 1000.0, 1000.0))
+    plain = cells.to_cell_arrays((0.6, -0.8), (3.0, -2.0), Bounds(0.0, 0.0, 1000.0, 1000.0))
     compiled = swimming.CellArrays(*(values.copy() for values in plain))
     times = np.array([1_000_000, 13_700_000, 3_000_000_000])
     noise = random.standard_normal((swimming.steps_until(0, times.tolist()), 2, 12))

@@ -45,9 +45,9 @@ def test_rounded_speeds_are_what_the_labs_host_sends_and_what_true_wheels_make_o
     for k in range(12):
         since_ns, acts_ns = k * SECOND // 40, (k + 2) * SECOND // 40
         heading, u = RNG.uniform(-3, 3, ROBOTS), RNG.uniform(-3, 3)
-        wished = host.wished(heading, u, since_ns, acts_ns)
+        wished = host.compute_speeds(heading, u, since_ns, acts_ns)
         counts = host.counts(wished)
-        host.sent(acts_ns, wished)
+        host.record_sent(acts_ns, wished)
         sent = sent.with_room()
         known = KnownRobots(A, SPEED, RADIUS, lag_s)
         directions = np.full(ROBOTS, u)
@@ -59,7 +59,7 @@ def test_rounded_speeds_are_what_the_labs_host_sends_and_what_true_wheels_make_o
 def test_speeds_that_are_not_rounded_are_sent_as_wished_and_scaled_by_the_true_gains():
     host = plain_host(0.0)
     heading = RNG.uniform(-3, 3, ROBOTS)
-    wished = host.wished(heading, 0.4, 0, 0)
+    wished = host.compute_speeds(heading, 0.4, 0, 0)
     known = KnownRobots(A, SPEED, RADIUS, 0.0)
     unrounded = trains(np.zeros(ROBOTS))
     args = (heading, np.full(ROBOTS, 0.4), 0, 0, known, SentRates.none(ROBOTS), unrounded)

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import compute_body_velocity
 
 pytestmark = pytest.mark.slow
 
@@ -72,7 +72,7 @@ def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     simulated.open()
     observation = simulated.observe()
     command = simulated.send(Steer(1.0))
-    speed, turning = body_velocity(command.left, command.right, 40)
+    speed, turning = compute_body_velocity(command.left, command.right, 40)
     robots = experiment().robots
     assert speed == pytest.approx([robot.speed for robot in robots])
     a = np.array([robot.a for robot in robots])

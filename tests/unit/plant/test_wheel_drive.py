@@ -11,7 +11,7 @@ from testkit.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import compute_body_velocity
 from tetractl.spec.plant import Wheels
 
 pytestmark = pytest.mark.slow
@@ -46,7 +46,7 @@ def test_what_is_sent_is_computed_from_the_newest_frame_received(lag):
     a = np.array([robot.a for robot in experiment().robots])
     for command in commands[5:]:
         newest = samples[int(np.searchsorted(received, command.sent_ns, side="right")) - 1]
-        _, turning = body_velocity(command.left, command.right, 40)
+        _, turning = compute_body_velocity(command.left, command.right, 40)
         measured = newest.observation.poses.heading
         assert turning == pytest.approx(a * np.sin(command.direction - measured), abs=1e-9)
 
@@ -65,7 +65,7 @@ def test_gains_and_radii_err_within_their_bounds_and_are_not_what_is_logged(part
     for seed in range(40):
         simulated = plant(seed, {part: 0.1})
         commands, samples = driven(simulated, [math.pi / 2])
-        _, sent = body_velocity(commands[0].left, commands[0].right, 40)
+        _, sent = compute_body_velocity(commands[0].left, commands[0].right, 40)
         path = truths(samples)
         rate = (path[-1] - path[0])[:, 2] / (len(path) - 1) * 120
         turned.append(rate / sent)

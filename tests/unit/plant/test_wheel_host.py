@@ -9,7 +9,7 @@ from testkit.trials import experiment
 from tetractl.core.clock import NEVER_NS, SECOND
 from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Observation, Poses
-from tetractl.model.wheels import COUNT_MAX, body_velocity
+from tetractl.model.wheels import COUNT_MAX, compute_body_velocity
 from tetractl.plant.sim_section import WheelDriveSection
 from tetractl.plant.wheel_host import SimHost, sample_drivetrains
 
@@ -30,7 +30,7 @@ def frame(headings=HEADINGS, sampled_ns=0):
 
 def motion(speeds):
     """Speeds and turning rates of robots with these wheel speeds."""
-    return body_velocity(speeds[0], speeds[1], RADIUS)
+    return compute_body_velocity(speeds[0], speeds[1], RADIUS)
 
 
 @pytest.mark.parametrize(

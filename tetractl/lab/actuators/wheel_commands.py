@@ -307,7 +307,9 @@ class WheeledActuator(ABC):
         if is_driving and action.lag_s is not None:
             self._host.assume_lag(action.lag_s)
         direction = action.direction if is_driving else action.facing
-        wheel_speeds = self._host.wished(heading, direction, since_ns, arrival_ns, is_driving)
+        wheel_speeds = self._host.compute_speeds(
+            heading, direction, since_ns, arrival_ns, is_driving
+        )
         wheel_speeds[:, [pose is None for pose in poses]] = 0.0
         return wheel_speeds
 
@@ -348,7 +350,7 @@ class WheeledActuator(ABC):
 
         Robots are assumed to have received it, because broadcasts are not acknowledged.
         """
-        speed, turning = self._host.sent(sent_ns + self._delay_ns, speeds)
+        speed, turning = self._host.record_sent(sent_ns + self._delay_ns, speeds)
         left_speed, right_speed = speeds / self._mm
         return Transmission(
             action,

@@ -17,7 +17,7 @@ from tetractl_microscope.coils.section import FieldSection, Pair
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
-from tetractl.model.swimmers import walls_of
+from tetractl.model.swimmers import compute_walls_um
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.fault_rows import (
@@ -350,7 +350,7 @@ class EmulatedField(PluggedDevices):
         names = setup.names
         walls = None
         if stage.options.trials_choose_robots:
-            walls = walls_of(setup)
+            walls = compute_walls_um(setup)
             dish_seed = seed if stage.options.dish_seed is None else stage.options.dish_seed
             cells, names = culture(settings.cells, settings.strangers, heading_walk, dish_seed)
         else:

@@ -209,7 +209,7 @@ class EmulatedMicroscope(StreamedCamera):
         # a cell divided during the exposure appears in the next picture
         count = min(scene.shape[1] for scene in scenes)
         moments = [Bodies(*scene[:, :count]) for scene in scenes]
-        cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < count)
+        cells = self._dish.cells.select(np.arange(len(self._dish.cells)) < count)
         is_shown = np.ones(count, bool)
         is_shown[: len(self._bodies)] = self._visible_now()
         picture = self.painter.picture(cells, moments, is_shown, exposed_ns / SECOND)

@@ -13,7 +13,7 @@ film. Two measures judge it without a truth:
   body within NEAR_PX. Positions in a blob that several cells share are not counted.
 - **Contradicted**: a cell's position and its position LINK_LENGTH images later form a link. A link
   is sure if the tracker gives both of its ends a probability at which the lab steers the cell
-  (`identity_watch.SURE`). The tracker also sees the film backwards. The cell that it shows at the
+  (`KNOWN_PROBABILITY`). The tracker also sees the film backwards. The cell that it shows at the
   second position must also be at the first one. A link is contradicted if that cell is elsewhere,
   by ELSEWHERE_PX or more. Either direction may be wrong, so this is an upper bound. A second count
   takes only links of which both directions are sure. At least one of two sure links that contradict

@@ -41,7 +41,7 @@ def simulated(
         if step % every == 0:
             now = bodies(cells)
             shown.append(np.column_stack([now.x, now.y]) + rng.normal(0, noise_um, (count, 2)))
-        acts = complex(field.at(np.array([step / STEP_HZ]))[0])
+        acts = complex(field.field_at(np.array([step / STEP_HZ]))[0])
         cells.swim((acts.real, acts.imag), 1 / STEP_HZ, rng)
     places = np.array(shown)
     times = np.arange(len(places)) / rate_hz

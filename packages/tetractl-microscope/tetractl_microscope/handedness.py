@@ -3,7 +3,7 @@
 A cell turns towards the field: its heading h and the field's direction u obey dh/dt = a sin(u - h).
 If the image is rotated by f, h obeys dh/dt = a sin(u + f - h). If the image is mirrored, h obeys
 dh/dt = a sin(-u + f - h) for some angle f. Both equations are fitted, and the one that explains
-more of the turning decides (`turning_fit`).
+more of the turning decides (`fit_turning`).
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from tetractl_microscope.choice.dish_abilities import tracker_of
 from tetractl_microscope.choice.section import Choice
 from tetractl_microscope.choice.turn_field import manoeuvre, turn_field
 from tetractl_microscope.one_recording import EXPLAINED_FRACTION_MIN
-from tetractl_microscope.sent_directions import FieldAt, courses, turning_fit
+from tetractl_microscope.sent_directions import FieldAt, compute_courses, fit_turning
 
-CELLS_MIN = 3  # minimum number of cells that show a rotation
-SURE = 3.0  # minimum rotation that counts as certain [standard deviations]
-ALLOWED = 0.15  # maximum rotation that is not reported [rad]
+CELLS_MIN = 3  # minimum number of cells that can show a rotation
+ROTATION_SD_MIN = 3.0  # minimum rotation that counts as certain [standard deviations]
+ROTATION_MAX_RAD = 0.15  # maximum rotation that is not reported [rad]
 EXPLAINED_DIFFERENCE_MIN = 1e-6
 """Maximum difference of two explained fractions that counts as rounding.
 
@@ -35,7 +35,7 @@ A field that never changes explains the same fraction with and without mirroring
 
 @dataclass(frozen=True, slots=True)
 class Handedness:
-    """The direction in which cells turned, relative to the direction of the field.
+    """The direction towards which cells turned, relative to the direction of the field.
 
     Attributes:
         cells: Number of cells.
@@ -54,11 +54,12 @@ class Handedness:
 
     @property
     def rotated(self) -> bool:
-        """Whether the cells certainly turn towards another direction than the field's.
+        """Whether the cells certainly turn towards another direction than the field's direction.
 
-        The angle between them must exceed ALLOWED, and SURE times its standard deviation.
+        The angle between them must exceed ROTATION_MAX_RAD, and ROTATION_SD_MIN times its standard
+        deviation.
         """
-        return abs(self.turned) > max(ALLOWED, SURE * self.turned_sd)
+        return abs(self.turned) > max(ROTATION_MAX_RAD, ROTATION_SD_MIN * self.turned_sd)
 
 
 def watch_turning(
@@ -75,13 +76,12 @@ def watch_turning(
         supervision: The operator's emergency stop and cancel signal.
 
     Returns:
-        The cells in view, and how they turned. The latter is None if too few of them were seen for
-        long enough.
+        The cells in view, and how they turned, or None if too few cells were seen for long enough.
     """
     seen_paths: dict[int, list[tuple[float, float, float]]] = {}
     tracker = tracker_of(rig)
 
-    def on_look() -> None:
+    def record_positions() -> None:
         newest = rig.loop.frames.newest
         if newest is None:
             return
@@ -92,16 +92,16 @@ def watch_turning(
                 path.append((now_s, cell.pose.x, cell.pose.y))
 
     try:
-        cells = turn_field(rig, choice, seed, supervision, on_look)
+        cells = turn_field(rig, choice, seed, supervision, record_positions)
     finally:
         rig.loop.stop()  # also if it raises: devices close slowly, the camera first
-    direction = manoeuvre(choice.turn, seed)
+    direction_at = manoeuvre(choice.turn, seed)
 
-    def field(times: Floats) -> NDArray[np.complex128]:
-        directions = np.array([direction(round(time_s * SECOND)) for time_s in times])
+    def field_at(times: Floats) -> NDArray[np.complex128]:
+        directions = np.array([direction_at(round(time_s * SECOND)) for time_s in times])
         return np.exp(1j * directions)
 
-    return cells, find_handedness([np.array(path) for path in seen_paths.values()], field)
+    return cells, find_handedness([np.array(path) for path in seen_paths.values()], field_at)
 
 
 def find_handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
@@ -114,26 +114,26 @@ def find_handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | Non
     Returns:
         The result. None for fewer than CELLS_MIN cells.
     """
-    turned_courses = courses(paths)
+    turned_courses = compute_courses(paths)
     if len(turned_courses) < CELLS_MIN:
         return None
-    fit_to_field = turning_fit(turned_courses, field)
-    fit_to_mirror_image = turning_fit(turned_courses, lambda times: field(times).conj())
+    fit_to_field = fit_turning(turned_courses, field)
+    fit_to_mirror_image = fit_turning(turned_courses, lambda times: field(times).conj())
     mirrored = fit_to_mirror_image[0] > fit_to_field[0] + EXPLAINED_DIFFERENCE_MIN
     explained_fraction, factors = fit_to_mirror_image if mirrored else fit_to_field
     turned = float(np.angle(factors.sum()))
     # a cell without a magnet has a short vector, and so little weight
-    across = (factors * np.exp(-1j * turned)).imag
+    across_lengths = (factors * np.exp(-1j * turned)).imag
     total_length = max(abs(factors.sum()), 1e-9)
-    angle_sd = float(np.linalg.norm(across) / total_length)
+    angle_sd = float(np.linalg.norm(across_lengths) / total_length)
     return Handedness(len(turned_courses), mirrored, turned, angle_sd, explained_fraction)
 
 
 def describe_handedness(turning: Handedness | None) -> tuple[list[str], str]:
-    """Describe how the cells turned.
+    """Describe how cells turned in the field, and what is wrong with the image or the coils.
 
     Args:
-        turning: How they turned. None if too few of them were seen.
+        turning: How the cells turned. None if too few cells were seen.
 
     Returns:
         A list of problems, empty if the image agrees with the field, and a sentence on the
@@ -161,15 +161,15 @@ def describe_handedness(turning: Handedness | None) -> tuple[list[str], str]:
 
 
 def describe_wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
-    """Describe wrong directions of the field, with a cause or remedy for each.
+    """Describe how the field's directions seem to be mirrored or rotated, and how to mend them.
 
     Args:
         turning: How cells turned.
-        mirrored: The text if they turned to the opposite side.
-        rotated: The text if they turned towards a rotated direction.
+        mirrored: Cause or remedy if the cells turned to the opposite side.
+        rotated: Cause or remedy if the cells turned towards a rotated direction.
 
     Returns:
-        One sentence. Empty if directions are right, or if cells do not turn with the field.
+        One sentence. Empty if the directions are right, or if cells do not turn with the field.
     """
     if turning.explained < EXPLAINED_FRACTION_MIN or not (turning.mirrored or turning.rotated):
         return []

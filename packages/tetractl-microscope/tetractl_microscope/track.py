@@ -85,9 +85,9 @@ def track(
     from tetractl_microscope.sent_directions import (
         SHORT_DELAYS_S,
         check_directions,
-        courses,
-        mirror_reading,
-        other_readings,
+        compute_courses,
+        create_mirror_reading,
+        create_other_readings,
     )
     from tetractl_microscope.tracks.cell_tables import cell_data, cell_tables
     from tetractl_microscope.tracks.field_file import (
@@ -122,10 +122,12 @@ def track(
         ui.print_messages(
             *describe_clock_mismatches(directions, str(field), str(tracks), *cells.span_s)
         )
-        readings = other_readings(str(field), directions, cells.period_s, "cells")
-        readings.append(mirror_reading(str(tracks), str(field), directions, "cells"))
+        readings = create_other_readings(str(field), directions, cells.period_s, "cells")
+        readings.append(create_mirror_reading(str(tracks), str(field), directions, "cells"))
         path_rows = [path.rows for path in cells.paths]
-        check_directions(str(field), courses(path_rows), directions, SHORT_DELAYS_S, readings)
+        check_directions(
+            str(field), compute_courses(path_rows), directions, SHORT_DELAYS_S, readings
+        )
         ui.print_messages(*describe_wrong_directions(directions, path_rows))
     stage_warnings = stage_remarks(cells.paths, directions)
     ui.print_messages(*stage_warnings)

@@ -9,12 +9,12 @@ from testkit.problems import problem, world
 from testkit.trials import experiment
 from tetractl_microscope.choice.closed_loop import (
     SIGNAL_STD_RAD,
-    Linear,
+    LinearisedPlan,
     Noise,
-    end_covariance,
-    information,
-    linearise,
-    mean_errors,
+    compute_information,
+    compute_mean_errors,
+    linearise_plan,
+    predict_end_covariance,
 )
 
 from tetractl.control.search.cost import predict
@@ -33,7 +33,7 @@ class Plan:
 
     problem: Problem
     signals: Floats
-    linear: Linear
+    linear: LinearisedPlan
 
 
 @pytest.fixture
@@ -41,13 +41,15 @@ def plan():
     random_problem = problem(world(4, ROBOTS, model="exact"))
     changes = np.random.default_rng(4).uniform(-0.4, 0.4, 30)
     signals = np.cumsum(changes)
-    return Plan(random_problem, signals, linearise(random_problem, signals))
+    return Plan(random_problem, signals, linearise_plan(random_problem, signals))
 
 
 def test_without_noise_the_ends_are_the_planned_ones(plan):
-    assert not end_covariance(plan.linear, QUIET).any()
+    assert not predict_end_covariance(plan.linear, QUIET).any()
     no_covariance = np.zeros((2 * ROBOTS, 2 * ROBOTS))
-    assert mean_errors(no_covariance, plan.linear.miss) == pytest.approx(plan.linear.miss)
+    assert compute_mean_errors(no_covariance, plan.linear.target_distances) == pytest.approx(
+        plan.linear.target_distances
+    )
 
 
 def simulated_ends(plan, rng, a_factor=1.0, speed_factor=1.0, walk=0.0):
@@ -74,7 +76,9 @@ def test_errors_without_feedback_are_those_of_simulated_robots(plan, noisy):
         "heading_walk": {"walk": 0.01},
     }[noisy]
     ends = simulated_ends(plan, rng, **changes)
-    covariance = end_covariance(plan.linear, replace(QUIET, **{noisy: 0.01}), corrects=False)
+    covariance = predict_end_covariance(
+        plan.linear, replace(QUIET, **{noisy: 0.01}), corrects=False
+    )
     deviations = np.sqrt(np.diag(covariance))
     assert deviations == pytest.approx(np.std(ends, axis=0), rel=0.1, abs=0.01)
 
@@ -85,8 +89,8 @@ def test_feedback_and_identification_lower_the_error(plan):
     )
 
     def error(corrects, identifies):
-        covariance = end_covariance(plan.linear, noise, corrects, identifies)
-        return mean_errors(covariance, np.zeros(ROBOTS)).sum()
+        covariance = predict_end_covariance(plan.linear, noise, corrects, identifies)
+        return compute_mean_errors(covariance, np.zeros(ROBOTS)).sum()
 
     open_loop = error(corrects=False, identifies=False)
     feedback = error(corrects=True, identifies=False)
@@ -98,7 +102,7 @@ def test_the_mean_length_of_a_normal_vector_is_that_of_many_drawn():
     rng = np.random.default_rng(3)
     root = rng.normal(size=(2, 2))
     drawn = root @ rng.standard_normal((2, 200_000))
-    (mean_length,) = mean_errors(root @ root.T, np.zeros(1))
+    (mean_length,) = compute_mean_errors(root @ root.T, np.zeros(1))
     assert mean_length == pytest.approx(np.hypot(*drawn).mean(), rel=0.01)
 
 
@@ -125,14 +129,14 @@ def test_the_noise_is_the_plants():
 def test_the_mean_length_of_a_normal_vector_along_one_axis_is_that_of_a_half_normal():
     """sqrt(2/pi) times its standard deviation."""
     deviation = 2.0
-    (mean_length,) = mean_errors(np.diag([deviation**2, 0.0]), np.zeros(1))
+    (mean_length,) = compute_mean_errors(np.diag([deviation**2, 0.0]), np.zeros(1))
     assert mean_length == pytest.approx(deviation * np.sqrt(2 / np.pi))
 
 
 def test_the_miss_is_the_distance_of_the_planned_end_from_the_target(plan):
     x, y, _ = predict(plan.problem, plan.signals)[-1].T
     to_x, to_y = np.asarray(plan.problem.targets).T
-    assert plan.linear.miss == pytest.approx(np.hypot(x - to_x, y - to_y))
+    assert plan.linear.target_distances == pytest.approx(np.hypot(x - to_x, y - to_y))
 
 
 def test_derivatives_of_the_ends_are_their_differences(plan):
@@ -157,22 +161,22 @@ def test_derivatives_of_the_ends_are_their_differences(plan):
 def loop(by_signal, length):
     """A plan of one robot whose ends follow the signals, and nothing else moves it."""
     zero = np.zeros((length, 1, 2))
-    return Linear(
-        miss=np.zeros(1),
+    return LinearisedPlan(
+        target_distances=np.zeros(1),
         by_signal=np.array(by_signal) / SIGNAL_STD_RAD,
         by_heading=np.zeros((length + 1, 1, 2)),
         by_a=zero,
         by_speed=zero,
         turn_by_a=np.zeros((length, 1)),
-        onward=np.zeros((2, 1)),
-        seconds=np.ones(length),
+        extra_step=np.zeros((2, 1)),
+        durations_s=np.ones(length),
     )
 
 
 def test_a_correction_follows_measurements_as_far_as_they_are_believed():
     """Along y, both signals correct by r, along x only the first. Places are measured with m."""
     r, m = 3.0, 2.0
-    covariance = end_covariance(
+    covariance = predict_end_covariance(
         loop([[r, 0.0], [0.0, r]], 2), replace(QUIET, position_std=m), corrects=True
     )
     believed = r**2 / (r**2 + m**2)
@@ -187,9 +191,9 @@ def test_exact_measurements_and_full_reach_leave_no_error():
     moving = replace(moving, by_a=np.array([[[1.0, 1.0]], [[0.0, 0.0]]]))
     wide = np.array([[0.0, 50.0], [0.0, 50.0]]) / SIGNAL_STD_RAD
     noise = replace(QUIET, a_std=0.1)
-    open_loop = end_covariance(moving, noise, corrects=False)
+    open_loop = predict_end_covariance(moving, noise, corrects=False)
     assert open_loop == pytest.approx(np.full((2, 2), 0.01))
-    corrected = end_covariance(replace(moving, by_signal=wide), noise, corrects=True)
+    corrected = predict_end_covariance(replace(moving, by_signal=wide), noise, corrects=True)
     assert np.abs(corrected).max() < 1e-4 * open_loop.max()
 
 
@@ -198,7 +202,7 @@ def test_errors_of_parameters_act_in_all_steps_and_add_up():
     same = np.array([[[1.0, 0.0]], [[1.0, 0.0]]])
     moving = replace(loop(np.zeros((2, 2)), 2), by_a=same, by_speed=2 * same[..., ::-1])
     noise = replace(QUIET, a_std=0.1, speed_std=0.2)
-    covariance = end_covariance(moving, noise, corrects=False)
+    covariance = predict_end_covariance(moving, noise, corrects=False)
     assert covariance == pytest.approx(np.diag([0.2**2, 0.8**2]))
 
 
@@ -207,10 +211,10 @@ def test_a_turn_tells_a_and_a_way_the_speed():
         loop(np.zeros((2, 1)), 1), turn_by_a=np.array([[0.5]]), by_speed=np.array([[[3.0, 4.0]]])
     )
     noise = Noise(heading_std=0.1, heading_walk=0.2, position_std=0.5)
-    of_a, of_speed = information(moving, noise, 0)
+    of_a, of_speed = compute_information(moving, noise, 0)
     assert of_a == pytest.approx(0.25 / (2 * 0.01 + 0.04), rel=1e-4)
     assert of_speed == pytest.approx(25.0 / (2 * 0.25))
-    slow = information(replace(moving, by_speed=np.zeros((1, 1, 2))), QUIET, 0)
+    slow = compute_information(replace(moving, by_speed=np.zeros((1, 1, 2))), QUIET, 0)
     assert slow[1] == 0.0
 
 
@@ -232,6 +236,6 @@ def test_the_noise_is_read_from_the_plant_and_a_lab_has_none():
 def test_the_mean_error_is_between_miss_and_their_sum_and_of_each_robot():
     covariance = np.zeros((4, 4))
     covariance[2:, 2:] = 9.0 * np.eye(2)
-    first, second = mean_errors(covariance, np.array([4.0, 4.0]))
+    first, second = compute_mean_errors(covariance, np.array([4.0, 4.0]))
     assert first == pytest.approx(4.0)
     assert second == pytest.approx(np.hypot(4.0, 3.0 * np.sqrt(np.pi / 2)))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from testkit.problems import problem, world
-from tetractl_microscope.choice.closed_loop import Linear, linearise
+from tetractl_microscope.choice.closed_loop import LinearisedPlan, linearise_plan
 
 from tetractl.control.search.cost import predict
 from tetractl.core.plan import Problem
@@ -26,13 +26,13 @@ class Plan:
 
     problem: Problem
     signals: Floats
-    linear: Linear
+    linear: LinearisedPlan
 
 
 def random_plan(seed, motion):
     random_problem = replace(problem(world(seed, model=motion)), first_period=FIRST_PERIOD_S)
     signals = np.random.default_rng(seed).uniform(-3, 3, SIGNALS)
-    return Plan(random_problem, signals, linearise(random_problem, signals))
+    return Plan(random_problem, signals, linearise_plan(random_problem, signals))
 
 
 def ends(problem, signals):
@@ -102,7 +102,7 @@ def test_ends_by_speed(seed, motion):
 
 def test_a_robot_goes_on_for_a_period_at_its_speed():
     plan = random_plan(3, "exact")
-    onward = plan.linear.onward.reshape(-1, 2)
+    onward = plan.linear.extra_step.reshape(-1, 2)
     ways = plan.problem.period * plan.problem.speed
     assert np.linalg.norm(onward, axis=1) == pytest.approx(ways)
 
@@ -110,10 +110,10 @@ def test_a_robot_goes_on_for_a_period_at_its_speed():
 def test_the_plan_misses_by_the_distances_of_its_ends_to_the_targets():
     plan = random_plan(3, "exact")
     gaps = ends(plan.problem, plan.signals) - plan.problem.targets
-    assert plan.linear.miss == pytest.approx(np.linalg.norm(gaps, axis=1))
+    assert plan.linear.target_distances == pytest.approx(np.linalg.norm(gaps, axis=1))
 
 
 def test_the_first_signal_has_a_period_of_its_own():
     plan = random_plan(3, "exact")
     later = [plan.problem.period] * (SIGNALS - 1)
-    assert plan.linear.seconds.tolist() == [FIRST_PERIOD_S, *later]
+    assert plan.linear.durations_s.tolist() == [FIRST_PERIOD_S, *later]

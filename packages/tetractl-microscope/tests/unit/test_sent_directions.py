@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from tetractl_microscope.sent_directions import (
     DELAYS_S,
-    GRID_S,
     SHORT_DELAYS_S,
+    TIME_STEP_S,
+    RobotCourse,
     SentDirections,
-    TurnedCourse,
     check_directions,
-    mirror_reading,
-    other_readings,
+    create_mirror_reading,
+    create_other_readings,
 )
 
 from tetractl.core.errors import UsageError
@@ -35,20 +35,23 @@ EVEN_AT_FIRST = sent_every_1_5_s(np.tile([0.0, 1.57, 3.0, -1.57, -0.6, 2.2, 0.9,
 REGULAR = sent_every_1_5_s(np.tile([0.0, 1.57, 3.14, -1.57], 4))
 
 
-def course_by(sent: SentDirections, late_s: float = 0.0, drive_s=DRIVE_S) -> TurnedCourse:
+def course_by(sent: SentDirections, late_s: float = 0.0, drive_s=DRIVE_S) -> RobotCourse:
     """The heading of a robot that turns by directions, each of which acts late."""
-    times = np.arange(0, drive_s, GRID_S)
+    times = np.arange(0, drive_s, TIME_STEP_S)
     heading = 0.3
     headings = []
-    for acts in sent.at(times - late_s):
+    for acts in sent.field_at(times - late_s):
         headings.append(heading)
         sine = (acts * np.exp(-1j * heading)).imag  # of the angle towards the direction
-        heading += A_RAD_S * GRID_S * sine
-    return TurnedCourse(times, np.array(headings))
+        heading += A_RAD_S * TIME_STEP_S * sine
+    return RobotCourse(times, np.array(headings))
 
 
-def check(turned: list[TurnedCourse], sent: SentDirections, least: float = 0.0) -> None:
-    readings = [mirror_reading("p.csv", "c.csv", sent), *other_readings("c.csv", sent, 1 / 30)]
+def check(turned: list[RobotCourse], sent: SentDirections, least: float = 0.0) -> None:
+    readings = [
+        create_mirror_reading("p.csv", "c.csv", sent),
+        *create_other_readings("c.csv", sent, 1 / 30),
+    ]
     check_directions("p.csv", turned, sent, DELAYS_S, readings, least)
 
 
@@ -70,7 +73,7 @@ def test_directions_of_another_clock_are_refused_with_the_difference(sent, clock
 def test_a_clock_within_a_regular_cycle_is_refused():
     """Regression: a warning that the field is rotated by 2 rad, and an a of -1.4 for 4."""
     turned = [course_by(REGULAR, late_s=-1.1)]
-    readings = other_readings("c.csv", REGULAR, 1 / 30)
+    readings = create_other_readings("c.csv", REGULAR, 1 / 30)
     with pytest.raises(UsageError, match=r"robots turn 1\.1 s before the directions"):
         check_directions("p.csv", turned, REGULAR, SHORT_DELAYS_S, readings)
 
@@ -138,6 +141,6 @@ def test_directions_that_act_a_step_late_are_not_taken_for_their_mirror_image():
 
 
 def test_robots_that_hardly_turn_show_nothing():
-    times = np.arange(0, DRIVE_S, GRID_S)
+    times = np.arange(0, DRIVE_S, TIME_STEP_S)
     noise = np.random.default_rng(1).normal(0, 0.003, len(times))
-    check([TurnedCourse(times, 1.0 + noise)], sent_every_1_5_s(np.full(16, 1.0)), least=1.0)
+    check([RobotCourse(times, 1.0 + noise)], sent_every_1_5_s(np.full(16, 1.0)), least=1.0)

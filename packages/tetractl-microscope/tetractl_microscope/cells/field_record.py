@@ -30,7 +30,7 @@ class FieldRecord(SentDirections):
             "time_s" maps to the times [s], and "x" and "y" to the components of the field from that
             time until the next.
         """
-        return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
+        return {"time_s": self.times, "x": self.fields.real, "y": self.fields.imag}
 
     def pieces(self, start_s: float, end_s: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, oldest first.
@@ -40,7 +40,7 @@ class FieldRecord(SentDirections):
         """
         first_index, stop_index = np.searchsorted(self.times, (start_s, end_s), side="right")
         cuts_s = np.array([start_s, *self.times[first_index:stop_index], end_s])
-        fields = self.at(cuts_s[:-1])
+        fields = self.field_at(cuts_s[:-1])
         pieces = np.column_stack([np.diff(cuts_s), fields.real, fields.imag])
         return [(duration_s, x, y) for duration_s, x, y in pieces.tolist()]
 

@@ -9,7 +9,12 @@ import numpy as np
 from tetractl.spec.experiment import Experiment
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import rate_choice, with_robots
-from tetractl_microscope.choice.closed_loop import Noise, end_covariance, linearise, mean_errors
+from tetractl_microscope.choice.closed_loop import (
+    Noise,
+    compute_mean_errors,
+    linearise_plan,
+    predict_end_covariance,
+)
 from tetractl_microscope.choice.first_plans import planner, plans
 from tetractl_microscope.choice.section import choice_of
 
@@ -51,9 +56,9 @@ class RankedChoice:
             if plan is None:
                 yield None
                 continue
-            linear = linearise(problem, plan.signals)
-            covariance = end_covariance(linear, noise, True, section.estimate)
-            yield float(mean_errors(covariance, linear.miss).sum())
+            linear = linearise_plan(problem, plan.signals)
+            covariance = predict_end_covariance(linear, noise, True, section.estimate)
+            yield float(compute_mean_errors(covariance, linear.target_distances).sum())
 
     def along(self, count: int) -> "RankedChoice":
         """Predict the errors along the first `count` plans, except those predicted before.

@@ -42,7 +42,7 @@ def describe_wrong_directions(field: FieldRecord, paths: Sequence[Floats]) -> tu
         "the directions run clockwise (give --y-down), or the image is mirrored; until this is "
         "corrected, do not use the values of a, bias and magnet"
     )
-    turning = find_handedness(paths, field.at)
+    turning = find_handedness(paths, field.field_at)
     lines = [] if turning is None else describe_wrong_sides(turning, mirrored, "is it rotated?")
     return tuple(f"warning: {line}" for line in lines)
 

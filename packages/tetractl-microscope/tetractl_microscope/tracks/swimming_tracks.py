@@ -178,7 +178,7 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
         swimming_speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
         straightness = common_speed_um_s / swimming_speed_um_s
         times = np.unique(np.concatenate([path.times for path in paths]))
-        mean_field = abs(np.mean(np.sign(field.at(times))))
+        mean_field = abs(np.mean(np.sign(field.field_at(times))))
         if straightness < FLOW_STRAIGHTNESS_MIN or mean_field > MEAN_FIELD_MAX:
             return ()
     fit_note = "" if field is None else ", and no a is fitted"

@@ -27,7 +27,7 @@ def test_a_file_is_read_in_seconds_and_radians_with_strength_1(tmp_path):
     field = field_of(tmp_path, "time_s,direction_rad\n0,0.5\n1.5,-2\n1.5,3\n4,0\n")
     assert field.times.tolist() == [0.0, 1.5, 1.5, 4.0]
     assert field.angles.tolist() == [0.5, -2.0, 3.0, 0.0]
-    assert np.abs(field.acts) == pytest.approx(np.ones(4))
+    assert np.abs(field.fields) == pytest.approx(np.ones(4))
 
 
 def test_other_units_are_converted(tmp_path):
@@ -39,7 +39,7 @@ def test_other_units_are_converted(tmp_path):
 def test_strengths_are_relative_and_an_empty_one_is_the_reference_field(tmp_path):
     rows = f"0,0,2\n1,0,\n2,0,0\n3,0,-0.5\n4,0,{STRENGTH_MAX:g}\n5,0,-{STRENGTH_MAX:g}\n"
     field = field_of(tmp_path, f"time_s,direction_rad,strength\n{rows}")
-    assert field.acts.real.tolist() == [2.0, 1.0, 0.0, -0.5, STRENGTH_MAX, -STRENGTH_MAX]
+    assert field.fields.real.tolist() == [2.0, 1.0, 0.0, -0.5, STRENGTH_MAX, -STRENGTH_MAX]
 
 
 def test_directions_of_a_clockwise_file_are_reversed_and_nothing_else(tmp_path):
@@ -48,7 +48,7 @@ def test_directions_of_a_clockwise_file_are_reversed_and_nothing_else(tmp_path):
     clockwise = field_of(tmp_path, text, upside_down=True)
     assert clockwise.angles.tolist() == (-usual.angles).tolist()
     assert clockwise.times.tolist() == usual.times.tolist()
-    assert clockwise.acts == pytest.approx(usual.acts.conj())
+    assert clockwise.fields == pytest.approx(usual.fields.conj())
 
 
 @pytest.mark.parametrize(

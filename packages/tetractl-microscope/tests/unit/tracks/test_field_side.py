@@ -6,8 +6,8 @@ from tetractl_microscope.handedness import find_handedness
 from tetractl_microscope.sent_directions import (
     SHORT_DELAYS_S,
     check_directions,
-    courses,
-    other_readings,
+    compute_courses,
+    create_other_readings,
 )
 from tetractl_microscope.tracks.field_file import describe_wrong_directions, read_field
 
@@ -23,7 +23,7 @@ def turned_by(field, rates=(3.0, 4.0, 5.0, 3.5)):
     for start, a in enumerate(rates):
         heading = 1.5 * start
         headings = []
-        for acts in field.at(times):
+        for acts in field.field_at(times):
             heading += a * (acts * np.exp(-1j * heading)).imag / 300
             headings.append(heading)
         places = np.cumsum(1.4 * np.exp(1j * np.array(headings)))
@@ -90,12 +90,12 @@ def field_at_times(tmp_path, times):
 )
 def test_a_field_whose_times_are_not_the_tracks_is_refused(tmp_path, stated, says):
     def check(sent):
-        readings = other_readings("field.csv", sent, 1 / 30, "cells")
+        readings = create_other_readings("field.csv", sent, 1 / 30, "cells")
         check_directions("field.csv", turned, sent, SHORT_DELAYS_S, readings)
 
     true_times = [time for time, _ in STEPS]
     true = field_at_times(tmp_path, true_times)
-    turned = courses(turned_by(true))
+    turned = compute_courses(turned_by(true))
     check(true)
     wrong = field_at_times(tmp_path, [stated(time) for time in true_times])
     with pytest.raises(UsageError, match=rf"field\.csv: .*{says}"):
@@ -113,5 +113,5 @@ def test_a_field_that_never_changes_shows_no_side(tmp_path):
     (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,1\n")
     field = read_field(tmp_path / "field.csv")
     for rates in ((1.0, 2.0, 2.5), (3.0, 4.0, 5.0), (3.3, 0.7, 5.1, 4.4)):
-        turning = find_handedness(turned_by(field, rates), field.at)
+        turning = find_handedness(turned_by(field, rates), field.field_at)
         assert turning is not None and not turning.mirrored

@@ -32,7 +32,7 @@ def swum(
     speed_at = speed if callable(speed) else lambda t: speed
     heading = 0.3
     headings = []
-    for t, u in zip(times.tolist(), np.angle(FIELD.at(times)).tolist(), strict=True):
+    for t, u in zip(times.tolist(), np.angle(FIELD.field_at(times)).tolist(), strict=True):
         headings.append(heading)
         heading += a_at(t) * math.sin(u - heading - bias) * step_s
     way = np.cumsum([speed_at(t) * step_s for t in times] * np.exp(1j * np.array(headings)))

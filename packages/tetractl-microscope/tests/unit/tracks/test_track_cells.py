@@ -108,7 +108,7 @@ def steered(number, field, a=4.0, speed=300.0):
     """A cell that turns to a field's direction."""
     when = times()
     headings = [0.3 * number]
-    for direction in np.angle(field.at(when[1:])):
+    for direction in np.angle(field.field_at(when[1:])):
         headings.append(headings[-1] + a * np.sin(direction - headings[-1]) / HZ)
     way = np.cumsum(speed / HZ * np.exp(1j * np.array(headings)))
     return track(number, when, way.real, way.imag)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tetractl_learn.policy import ACTIVATIONS, features, forward
+from tetractl_learn.policy import ACTIVATIONS, compute_features, compute_outputs
 
 import tetractl
 from tetractl.core.poses import Observation, Poses
@@ -66,16 +66,16 @@ def test_features_are_gaps_headings_and_the_last_direction(tmp_path):
     observation = Observation(1, 0, 0, poses, np.array([True]))
     gap = [1000 / 4000, -500 / 4000]  # of the arena's longer side, 4000 um
     expected = [*gap, 0.0, 1.0, 0.0, 0.0]
-    np.testing.assert_allclose(features(setup, observation, None), expected, atol=1e-15)
+    np.testing.assert_allclose(compute_features(setup, observation, None), expected, atol=1e-15)
     expected = [*gap, 0.0, 1.0, -1.0, 0.0]
-    np.testing.assert_allclose(features(setup, observation, math.pi), expected, atol=1e-15)
+    np.testing.assert_allclose(compute_features(setup, observation, math.pi), expected, atol=1e-15)
 
 
 @pytest.mark.parametrize(("activation", "hidden"), [("tanh", math.tanh(-2.0)), ("relu", 0.0)])
 def test_the_activation_stands_between_the_layers_alone(activation, hidden):
     first = (np.array([[1.0]]), np.array([-3.0]))  # 1 - 3 = -2
     second = (np.array([[2.0], [0.0]]), np.array([0.5, -7.0]))
-    outputs = forward([first, second], ACTIVATIONS[activation], np.array([1.0]))
+    outputs = compute_outputs([first, second], ACTIVATIONS[activation], np.array([1.0]))
     np.testing.assert_allclose(outputs, [2 * hidden + 0.5, -7.0])
 
 

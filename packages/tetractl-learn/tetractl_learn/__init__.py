@@ -1,1 +1,1 @@
-"""Learnt policies for tetractl: a Gymnasium environment of a trial, and a controller."""
+"""Learnt policies: trials as Gymnasium environments, and a controller that uses a policy."""

@@ -98,9 +98,24 @@ def emulated(lab):
 
 
 def test_emulated_robots_are_driven_over_dds(lab):
+    """They drive and then stand. On a busy host, the guard may end the trial before its targets."""
     with emulated(lab):
         checked = tetractl(lab, "lab", "check", "graph.yaml")
         assert "emulated: camera, actuator" in checked.stdout
+        words = run_words("--set", "controller.time_limit=60", "--out", "logs")
+        with started(lab, *words, output="run.txt") as run:
+            run.wait(PATIENCE_S)
+        assert list((lab / "logs").glob("trial-000.mcap*"))
+        record = lab / "truth.jsonl"
+        wait_for(CLOCK, lambda: all_stand(record), PATIENCE_S)
+        moved = {e["name"] for e in events_of(record) if e["event"] == "robot" and e["moving"]}
+        assert moved == set(ROBOTS)
+        assert all_stand(record)
+
+
+@pytest.mark.release
+def test_emulated_robots_reach_their_targets_over_dds(lab):
+    with emulated(lab):
         with started(lab, *run_words("--out", "logs"), output="run.txt") as run:
             run.wait(PATIENCE_S)
         assert "1 of 1 trials valid" in (lab / "run.txt").read_text()
@@ -113,16 +128,21 @@ def test_emulated_robots_stand_within_their_watchdog_when_the_run_is_killed(lab)
         killed_ns = host_ns()  # the record has this clock's times
         record = lab / "truth.jsonl"
         wait_for(CLOCK, lambda: all_stand(record), PATIENCE_S)
-        events = [json.loads(line) for line in record.read_text().splitlines()[:-1]]
-        stood_ns = max(e["t_ns"] for e in events if e["event"] == "robot" and not e["moving"])
+        stood_ns = max(
+            e["t_ns"] for e in events_of(record) if e["event"] == "robot" and not e["moving"]
+        )
         assert all_stand(record)
         assert 0 < (stood_ns - killed_ns) / SECOND < WATCHDOG_S + LAG_S + BUSY_S
 
 
+def events_of(record):
+    """The events that the emulation has recorded; its last line may be incomplete."""
+    return [json.loads(line) for line in record.read_text().splitlines()[:-1]]
+
+
 def all_stand(record):
     moving = {}
-    for line in record.read_text().splitlines()[:-1]:
-        event = json.loads(line)
+    for event in events_of(record):
         if event["event"] == "robot":
             moving[event["name"]] = event["moving"]
     return len(moving) == len(ROBOTS) and not any(moving.values())

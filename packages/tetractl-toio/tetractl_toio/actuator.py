@@ -13,7 +13,7 @@ from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_spe
 from tetractl.lab.serial_port import PortFactory, PortGroup, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
-from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
+from tetractl_toio.cubes import BITS_PER_S, CONNECTION_HINT, CubesLink, make_port
 from tetractl_toio.messages import (
     SPEED_MAX,
     SPEED_MIN,
@@ -174,7 +174,7 @@ def stop_all(section: ToioSection, setup: Setup, clock: Clock, alone: bool) -> s
     `stop_all_at`.
     """
     links = PortGroup(
-        make_port(robot.cube, SPEED, robot.name, clock, lambda *_: None, HINT)
+        make_port(robot.cube, BITS_PER_S, robot.name, clock, lambda *_: None, CONNECTION_HINT)
         for robot in section.robots
     )
     stop = pack(Characteristic.MOTOR, encode_motor(0, 0, WATCHDOG_MS))

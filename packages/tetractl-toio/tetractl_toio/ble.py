@@ -1,4 +1,4 @@
-"""Connects to a cube over this computer's Bluetooth adapter, with the library bleak.
+"""Connect to a cube over this computer's Bluetooth adapter, with the library bleak.
 
 This module has never been tried with a real cube.
 """
@@ -17,7 +17,7 @@ FIND_S = 10.0
 """Maximum duration of the search for a cube [s]."""
 CONNECT_S = 20.0
 """Maximum time until a cube is connected and sends notifications [s]."""
-NOTIFIED = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
+NOTIFIED_CHARACTERISTICS = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURATION)
 """Characteristics whose notifications the port subscribes to."""
 
 
@@ -25,10 +25,10 @@ def is_cube(name_or_address: str, name: str | None, address: str) -> bool:
     """Check whether a Bluetooth advertisement belongs to the wanted cube.
 
     Args:
-        name_or_address: The cube's address, in upper or lower case, or its name such as
-            `toio-M0p`, or only the last three letters of its name. Of a name, only the part after
-            the last hyphen is compared, and upper and lower case differ.
-        name: Name in the advertisement. None if it has none.
+        name_or_address: The address or the name of the wanted cube. An address can be in upper or
+            lower case. A name such as `toio-M0p` can be shortened to the part after the last
+            hyphen, `M0p`, which must have the right case.
+        name: Name in the advertisement. None if the advertisement has no name.
         address: Address of the advertiser.
     """
     last_letters = name_or_address.rpartition("-")[2]
@@ -54,12 +54,12 @@ class BluetoothPort(SerialPort):
         self, name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
     ) -> None:
         super().__init__(name, baud, device, clock, on_received, hint)
-        self._ready = threading.Event()
+        self._is_ready = threading.Event()
         self._loop = asyncio.new_event_loop()
         self._client: Any = None
-        self._close_asked = asyncio.Event()
+        self._close_requested = asyncio.Event()
         self._unpacker = Unpacker()
-        self._collected = b""
+        self._collected_messages = b""
 
     def open(self, exclusive: bool = True) -> None:
         """Find the cube and connect to it, within CONNECT_S seconds. `exclusive` is ignored.
@@ -68,15 +68,15 @@ class BluetoothPort(SerialPort):
             AbortError: If the cube is not found or does not answer.
         """
         self._thread.start()
-        if not self._ready.wait(CONNECT_S) or self.failure:
+        if not self._is_ready.wait(CONNECT_S) or self.failure:
             self.close()
             raise AbortError(self.failure or f"the cube {self._device} does not answer", self._hint)
 
     def write(self, data: bytes) -> int:
-        """Send each of the packed messages: as a write or, if it has no data, as a read request.
+        """Send packed messages to the cube: a write, or a read request if a message has no data.
 
         Returns:
-            The time at which they were handed to the operating system [ns].
+            The time at which the messages were handed to the operating system [ns].
 
         Raises:
             AbortError: If the cube is not connected.
@@ -94,7 +94,7 @@ class BluetoothPort(SerialPort):
         """Disconnect and stop the thread. This method can be called repeatedly and never raises."""
         self._closing.set()
         with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._close_asked.set)
+            self._loop.call_soon_threadsafe(self._close_requested.set)
         super().close()
 
     def _read(self) -> None:
@@ -104,7 +104,7 @@ class BluetoothPort(SerialPort):
         self._loop.close()
 
     async def _serve(self) -> None:
-        """Keep the connection until it is closed, and record why it failed. No error is raised."""
+        """Keep the connection until the port is closed, and record why it fails. Never raises."""
         try:
             await self._stay_connected()
         except ImportError:
@@ -116,12 +116,12 @@ class BluetoothPort(SerialPort):
         except Exception as error:  # bleak's backends raise what their systems do
             self._fail(f"cannot be connected: {str(error) or type(error).__name__}")
         finally:
-            self._ready.set()
+            self._is_ready.set()
 
     async def _stay_connected(self) -> None:
         """Find the cube, subscribe to its notifications, and wait until the port is closed.
 
-        If the cube is not found within FIND_S seconds, this is recorded as the failure.
+        If the cube is not found within FIND_S seconds, the port's failure is set.
         """
         from bleak import BleakClient, BleakScanner
 
@@ -136,44 +136,48 @@ class BluetoothPort(SerialPort):
             self._fail(f"was not found within {FIND_S:g} s")
             return
         async with BleakClient(cube, disconnected_callback=self._report_disconnection) as client:
-            for kind in NOTIFIED:
-                await client.start_notify(kind.uuid, lambda _, data, k=kind: self._collect(k, data))
+            for characteristic in NOTIFIED_CHARACTERISTICS:
+                await client.start_notify(
+                    characteristic.uuid,
+                    lambda _, data, source=characteristic: self._collect(source, data),
+                )
             self._client = client
-            self._ready.set()
-            await self._close_asked.wait()
+            self._is_ready.set()
+            await self._close_requested.wait()
             self._client = None
 
-    async def _send(self, kind: Characteristic, payload: bytes) -> None:
-        """Send one message to the cube: a write, or a read if the payload is empty.
+    async def _send(self, characteristic: Characteristic, payload: bytes) -> None:
+        """Send a message to the cube: a write, or a read request if the payload is empty.
 
-        Nothing happens without a connection. An error is recorded as a loss of the connection.
+        Without a connection, nothing happens. An error counts as a loss of the connection.
         """
         client = self._client
         if client is None:
             return
         try:
             if payload:
-                with_answer = kind is Characteristic.CONFIGURATION
-                await client.write_gatt_char(kind.uuid, payload, response=with_answer)
+                with_answer = characteristic is Characteristic.CONFIGURATION
+                await client.write_gatt_char(characteristic.uuid, payload, response=with_answer)
             else:
-                self._collect(kind, await client.read_gatt_char(kind.uuid))
-        except Exception as error:  # as above
+                self._collect(characteristic, await client.read_gatt_char(characteristic.uuid))
+        except Exception as error:  # the backends raise various errors
             self._report_loss(str(error) or type(error).__name__)
 
-    def _collect(self, kind: Characteristic, data: bytearray | bytes) -> None:
-        """Collect a message, so that messages of one connection event are passed on together.
+    def _collect(self, characteristic: Characteristic, data: bytearray | bytes) -> None:
+        """Collect a message, so that all messages of a connection event are passed on together.
 
-        If they were passed on one by one, an older reading would seem as new as the latest one.
+        If messages were passed on one by one, an older reading would seem as new as the newest
+        reading.
         """
-        if not self._collected:
+        if not self._collected_messages:
             self._loop.call_later(SAME_EVENT_S, self._deliver_collected, self._clock.now())
-        self._collected += pack(kind, bytes(data))
+        self._collected_messages += pack(characteristic, bytes(data))
 
-    def _deliver_collected(self, at_ns: int) -> None:
-        """Pass on the collected messages with the time at which the first one arrived [ns]."""
-        collected = self._collected
-        self._collected = b""
-        self._on_received(collected, at_ns)
+    def _deliver_collected(self, arrival_ns: int) -> None:
+        """Pass on the collected messages with the time at which the first message arrived [ns]."""
+        messages = self._collected_messages
+        self._collected_messages = b""
+        self._on_received(messages, arrival_ns)
 
     def _report_disconnection(self, _: Any) -> None:
         """Report a lost connection, unless the port is being closed."""
@@ -181,6 +185,6 @@ class BluetoothPort(SerialPort):
             self._report_loss("disconnected")
 
     def _report_loss(self, reason: str) -> None:
-        """Record why the connection was lost, and notify the reader."""
+        """Record why the connection was lost, and notify the receiver."""
         self._fail(f"is gone: {reason}")
         self._on_received(b"", self._clock.now())

@@ -15,7 +15,7 @@ from tetractl.core.setup import Setup
 from tetractl.lab.serial_port import PortFactory
 from tetractl.lab.udp_port import SCHEME
 from tetractl.spec.lab_section import entry
-from tetractl_toio.cubes import HINT, UDP_HINT, CubesLink
+from tetractl_toio.cubes import CONNECTION_HINT, UDP_HINT, CubesLink
 from tetractl_toio.messages import (
     NOTIFY_MISSED,
     NOTIFY_READINGS,
@@ -118,7 +118,7 @@ class ToioCamera:
                     break
             silent = self._silent_names()
             if silent:
-                hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else HINT
+                hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else CONNECTION_HINT
                 raise AbortError(f"no message came from {', '.join(silent)}", hint)
         except BaseException:
             self._link.close()
@@ -238,7 +238,7 @@ class ToioCamera:
         return Pose(x * unit, y * unit, -math.remainder(math.radians(reading.angle), math.tau))
 
 
-def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> CubeReading:
+def compute_reading(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> CubeReading:
     """Compute the reading of a cube at a pose in the spec's coordinates.
 
     Args:

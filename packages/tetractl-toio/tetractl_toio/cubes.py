@@ -1,6 +1,6 @@
-"""Connections to toio cubes, shared by the camera and the actuator of a run.
+"""The connections to toio cubes, which the camera and the actuator of a run share.
 
-They are shared because a cube accepts only one connection.
+The devices share the connections because a cube accepts only one connection.
 """
 
 import select
@@ -15,41 +15,39 @@ from tetractl.lab.udp_port import SCHEME, UdpPort
 from tetractl_toio.messages import SAME_EVENT_S, Characteristic, Unpacker, is_refusal, pack
 
 UDP_HINT = "is `tetractl lab emulate` running in another terminal, with the same spec?"
-HINT = (
+CONNECTION_HINT = (
     "are the cubes on and charged? A cube that is connected to another program is still "
     "driven by that program; all other cubes stop by themselves"
 )
-SPEED = 1_000_000  # bits a second of Bluetooth Low Energy
+BITS_PER_S = 1_000_000
+"""Bit rate of Bluetooth Low Energy [bit/s]."""
 Listener = Callable[[int, bytes, int], None]
-"""Function that is called with each notification, in a port's thread.
+"""A function that is called with each notification of a cube, in the thread of the cube's port.
 
-Its arguments are the number of the characteristic, the data and the time of arrival [ns].
+The arguments are the number of the characteristic, the data and the time of arrival [ns].
 """
 
 
-class Cubes:
-    """Open connections to cubes, by the cubes' names. Times are in ns on `clock`.
+class CubeConnections:
+    """The connections of a run to its cubes.
 
     Args:
-        clock: The clock for times.
-        ports: Creates the port to a cube.
+        clock: The clock of all times.
+        create_port: Function that creates the port to a cube.
     """
 
-    def __init__(self, clock: Clock, ports: PortFactory) -> None:
-        self._ports = ports
-        self.emulated = False  # whether a cube has said so
+    def __init__(self, clock: Clock, create_port: PortFactory) -> None:
+        self._create_port = create_port
+        self.emulated = False  # whether a cube has reported that it is emulated
         self._clock = clock
-        self._users = 0
-        self._links: dict[str, SerialPort] = {}
-        self._listeners: dict[str, list[Listener]] = {}
+        self._user_count = 0
+        self._port_by_cube: dict[str, SerialPort] = {}
+        self._listeners_by_cube: dict[str, list[Listener]] = {}
 
     @property
     def failure(self) -> str | None:
-        """The reason why the first unreachable cube is lost.
-
-        The value is None if all cubes can be reached.
-        """
-        return next((link.failure for link in self._links.values() if link.failure), None)
+        """The reason why a cube can no longer be reached. None if all cubes can be reached."""
+        return next((port.failure for port in self._port_by_cube.values() if port.failure), None)
 
     def open(self, listeners: Mapping[str, Listener]) -> None:
         """Register listeners, and connect to each cube that is not yet connected.
@@ -61,18 +59,23 @@ class Cubes:
         Raises:
             AbortError: If a cube cannot be reached.
         """
-        self._users += 1
+        self._user_count += 1
         for cube, listener in listeners.items():
-            self._listeners.setdefault(cube, []).append(listener)
-            if cube not in self._links:
-                link = self._ports(
-                    cube, SPEED, "the cube", self._clock, self._receiver_of(cube), HINT
+            self._listeners_by_cube.setdefault(cube, []).append(listener)
+            if cube not in self._port_by_cube:
+                port = self._create_port(
+                    cube,
+                    BITS_PER_S,
+                    "the cube",
+                    self._clock,
+                    self._create_receiver(cube),
+                    CONNECTION_HINT,
                 )
-                self._links[cube] = link
-                link.open()
+                self._port_by_cube[cube] = port
+                port.open()
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write a value to a cube, or ask the cube for a value.
+        """Write a value to a characteristic of a cube, or ask the cube for its value.
 
         Args:
             cube: Name of the cube.
@@ -85,48 +88,48 @@ class Cubes:
         Raises:
             AbortError: If the cube cannot be reached.
         """
-        return self._links[cube].write(pack(characteristic, data))
+        return self._port_by_cube[cube].write(pack(characteristic, data))
 
     def close(self) -> bool:
-        """Unregister one user, and disconnect from all cubes if it was the last. Never raises.
+        """Unregister a user, and disconnect from all cubes if no user is left. Never raises.
 
         Returns:
             Whether the cubes were disconnected.
         """
-        self._users -= 1
-        if self._users == 0:
-            for link in self._links.values():
-                link.close()
-        return self._users == 0
+        self._user_count -= 1
+        if self._user_count == 0:
+            for port in self._port_by_cube.values():
+                port.close()
+        return self._user_count == 0
 
-    def _receiver_of(self, cube: str) -> OnReceived:
-        """Create the callback for bytes from a cube.
+    def _create_receiver(self, cube: str) -> OnReceived:
+        """Create the function that a port calls with bytes from a cube.
 
-        It passes each complete message to the cube's listeners. If several messages of one
-        characteristic arrive together, it passes only the last one. A refused setting is recorded
-        as the cube's failure.
+        The function passes each complete message to the cube's listeners. If several messages of
+        one characteristic arrive together, the listeners get only the last message. A refused
+        setting is recorded as the cube's failure.
         """
         unpacker = Unpacker()
 
-        def receive(data: bytes, at_ns: int) -> None:
+        def receive(data: bytes, arrival_ns: int) -> None:
             messages = list(unpacker.feed(data))
             for characteristic, payload in messages:
                 if characteristic == Characteristic.EMULATED:
                     self.emulated = True
                 if characteristic == Characteristic.CONFIGURATION and is_refusal(payload):
-                    self._links[
+                    self._port_by_cube[
                         cube
                     ].failure = f"cube {cube} refuses a setting: it answered {payload.hex()}"
-            # of what came together, the earlier is as old as the connection's events are apart
+            # of messages that came together, earlier ones are older by a connection interval
             for characteristic, payload in dict(messages).items():
-                for listener in self._listeners.get(cube, ()):
-                    listener(characteristic, payload, at_ns)
+                for listener in self._listeners_by_cube.get(cube, ()):
+                    listener(characteristic, payload, arrival_ns)
 
         return receive
 
 
-_RUNS: dict[Clock, Cubes] = {}
-"""The connections of each run while they are open, by its clock: what its devices share."""
+_CONNECTIONS_BY_CLOCK: dict[Clock, CubeConnections] = {}
+"""The open connections of each run, by the run's clock. The devices of a run share them."""
 
 
 class CubesLink:
@@ -135,7 +138,7 @@ class CubesLink:
     Args:
         clock: The clock of the run. Devices with the same clock share their connections.
         cubes: Names of the device's cubes.
-        ports: Creates the port to a cube. None for the default, `make_port`.
+        create_port: Function that creates the port to a cube. None for the default, `make_port`.
         on_received: Called with each notification: the cube's index in `cubes`, the characteristic,
             the data and the time of arrival [ns].
     """
@@ -144,22 +147,22 @@ class CubesLink:
         self,
         clock: Clock,
         cubes: Sequence[str],
-        ports: PortFactory | None,
+        create_port: PortFactory | None,
         on_received: Callable[[int, int, bytes, int], None],
     ) -> None:
         self.cubes = cubes
         self._clock = clock
-        self._ports = ports
+        self._create_port = create_port
         self._on_received = on_received
-        self._run: Cubes | None = None
+        self._connections: CubeConnections | None = None
 
     @property
     def failure(self) -> str | None:
         """The reason why a cube can no longer be reached.
 
-        It is None if all cubes can be reached, or if the connections are not open.
+        None if all cubes can be reached, or if the connections are not open.
         """
-        return None if self._run is None else self._run.failure
+        return None if self._connections is None else self._connections.failure
 
     @property
     def emulated(self) -> bool:
@@ -167,7 +170,7 @@ class CubesLink:
 
         False if the connections are not open.
         """
-        return self._run is not None and self._run.emulated
+        return self._connections is not None and self._connections.emulated
 
     def open(self) -> None:
         """Connect to the device's cubes.
@@ -175,45 +178,50 @@ class CubesLink:
         Raises:
             AbortError: If a cube cannot be reached.
         """
-        self._run = _RUNS.setdefault(self._clock, Cubes(self._clock, self._ports or make_port))
-        self._run.open({cube: partial(self._on_received, i) for i, cube in enumerate(self.cubes)})
+        self._connections = _CONNECTIONS_BY_CLOCK.setdefault(
+            self._clock, CubeConnections(self._clock, self._create_port or make_port)
+        )
+        self._connections.open(
+            {cube: partial(self._on_received, i) for i, cube in enumerate(self.cubes)}
+        )
 
     def close(self) -> None:
         """Stop using the connections. This method can be called repeatedly and never raises."""
-        run = self._run
-        self._run = None
-        if run is not None and run.close():
-            del _RUNS[self._clock]
+        connections = self._connections
+        self._connections = None
+        if connections is not None and connections.close():
+            del _CONNECTIONS_BY_CLOCK[self._clock]
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write a value to a cube, or ask for one if `data` is empty; see `Cubes.send`.
+        """Write a value to a cube, or ask for its value; see `CubeConnections.send`.
 
         Raises:
             AbortError: If the connections are not open.
         """
-        if self._run is None:
-            raise AbortError(f"cube {cube} is not connected", HINT)
-        return self._run.send(cube, characteristic, data)
+        if self._connections is None:
+            raise AbortError(f"cube {cube} is not connected", CONNECTION_HINT)
+        return self._connections.send(cube, characteristic, data)
 
 
 class EmulatedCubePort(UdpPort):
     """The UDP port to an emulated cube.
 
-    Datagrams that arrive within SAME_EVENT_S are passed on together. On a busy computer, datagrams
-    wait before they are read. Without this grouping, an old reading that has waited would count as
-    a new reading.
+    The port passes on datagrams together if they arrive within SAME_EVENT_S. On a busy computer,
+    datagrams wait before they are read. Without this grouping, an old reading that has waited would
+    count as a new reading.
     """
 
     def _read(self) -> None:
+        """Receive datagrams until the port is closed, and pass them on in groups."""
         assert self._socket is not None
         while not self._closing.is_set():
             with suppress(TimeoutError, ConnectionError):
                 data = self._receive()
-                at_ns = self._clock.now()
+                arrival_ns = self._clock.now()
                 self._closing.wait(SAME_EVENT_S)
                 while select.select([self._socket], [], [], 0)[0]:
                     data += self._receive()
-                self._on_received(data, at_ns)
+                self._on_received(data, arrival_ns)
 
 
 def make_port(

@@ -11,37 +11,49 @@ import numpy as np
 from numba.core import types
 from numba.extending import is_jitted
 
-from tetractl.tools.cache import digest_files as files_digest
+from tetractl.tools.cache import digest_files
 
 
-def digest_dependencies(function: Callable[..., Any], sig: Any) -> str:
-    """Compute 12 hex digits of everything on which the compiled code of a function depends.
+def digest_dependencies(function: Callable[..., Any], signature: Any) -> str:
+    """Compute a digest of everything on which the compiled code of a function depends.
 
-    It depends on the signature; on the file of each function that it calls, directly or not; on the
-    constants that these functions name; and on the modules of the classes of its arguments. A
-    motion is such a class, whose module may use other modules in its folder.
+    The code depends on the signature, on the files of all functions that the function calls, on the
+    constants that these functions use, and on the modules of the classes of the arguments. A motion
+    is such a class, whose module may use other modules in its folder.
+
+    Args:
+        function: The plain Python function.
+        signature: The Numba signature of the compiled function, or a tuple of the Numba types of
+            its arguments.
+
+    Returns:
+        12 hex digits.
     """
     files = set[Path]()
     constants = list[str]()
     for compiled_function, named_values in _find_compiled_functions(function):
-        overloads = (value for _, value in named_values if isinstance(value, FunctionType))
-        codes = [function.__code__ for function in (compiled_function, *overloads)]
-        files.update(Path(code.co_filename) for code in codes)  # an overload's is in the same file
-        constants += [f"{name} = {_format_constant(value)}" for name, value in named_values]
-    for tuple_class in _find_tuple_classes(sig if isinstance(sig, tuple) else sig.args):
-        files.update(_module_files(tuple_class.__module__))
-    return files_digest([file for file in files if file.is_file()], "\n".join(constants))
+        files.add(Path(compiled_function.__code__.co_filename))
+        for name, value in named_values:
+            constants.append(f"{name} = {_format_constant(value)}")
+            if isinstance(value, FunctionType):  # an overload, in the file of its implementation
+                files.add(Path(value.__code__.co_filename))
+    argument_types = signature if isinstance(signature, tuple) else signature.args
+    for tuple_class in _find_tuple_classes(argument_types):
+        files.update(_find_module_files(tuple_class.__module__))
+    source_files = [file for file in files if file.is_file()]
+    return digest_files(source_files, "\n".join(constants))
 
 
 NamedValues = list[tuple[str, Any]]
+"""Names that a function uses, with their values."""
 
 
 def _find_compiled_functions(
     function: Callable[..., Any],
 ) -> Iterator[tuple[FunctionType, NamedValues]]:
-    """Yield a plain function and all functions compiled into it, with the names they use.
+    """Yield a plain function and all functions that are compiled into it, each only once.
 
-    Each function occurs once.
+    Each function comes with the names that it uses and their values.
     """
     visited = set[FunctionType]()
     to_visit = [function]
@@ -53,46 +65,58 @@ def _find_compiled_functions(
         named_values = list(_find_named_values(current))
         yield current, named_values
         values = [value for _, value in named_values]
-        for overload in (value for value in values if isinstance(value, FunctionType)):
-            values = [*values, *overload.__globals__.values()]
-        to_visit += [value.py_func for value in values if is_jitted(value)]
+        overloads = [value for value in values if isinstance(value, FunctionType)]
+        for overload in overloads:
+            values.extend(overload.__globals__.values())
+        to_visit.extend(value.py_func for value in values if is_jitted(value))
 
 
 def _find_named_values(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of every variable outside a function that its code refers to.
+    """Yield the name and the value of each variable that a function uses from outside.
 
-    Built-in names are left out.
+    If the variable is a module other than `math` and `numpy`, the names that the function may use
+    from this module follow. Built-in names are left out.
     """
     closure_cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    yield from ((name, cell.cell_contents) for name, cell in closure_cells)
+    for name, cell in closure_cells:
+        yield name, cell.cell_contents
     names = sorted(_find_names(function.__code__))
     for name in names:
-        if name in function.__globals__:
-            value = function.__globals__[name]
-            yield name, value
-            if isinstance(value, ModuleType) and value.__name__ not in ("math", "numpy"):
-                yield from ((n, vars(value)[n]) for n in names if n in vars(value))
+        if name not in function.__globals__:
+            continue
+        value = function.__globals__[name]
+        yield name, value
+        if isinstance(value, ModuleType) and value.__name__ not in ("math", "numpy"):
+            for attribute_name in names:
+                if attribute_name in vars(value):
+                    yield attribute_name, vars(value)[attribute_name]
 
 
 def _format_constant(value: Any) -> str:
-    """Format the value of a constant in compiled code as a text that identifies the value.
+    """Format the value of a constant in compiled code as a string that identifies the value.
 
-    The text is empty for anything but numbers, strings, tuples and arrays.
+    The string is empty for anything other than numbers, strings, tuples and arrays.
     """
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, tuple):
         return f"({', '.join(map(_format_constant, value))})"
-    return repr(value) if isinstance(value, bool | int | float | complex | str | np.generic) else ""
+    if isinstance(value, bool | int | float | complex | str | np.generic):
+        return repr(value)
+    return ""
 
 
 def _find_names(code: CodeType) -> set[str]:
-    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
-    return set(code.co_names).union(*map(_find_names, inner))
+    """Find the names that code uses, including the code of functions defined inside it."""
+    names = set(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            names |= _find_names(constant)
+    return names
 
 
 def _find_tuple_classes(numba_types: Iterable[Any]) -> Iterator[type[Any]]:
-    """Yield the classes of the named tuples among types, at any depth.
+    """Yield the classes of the named tuples among Numba types, also inside other tuples.
 
     A class can occur repeatedly.
     """
@@ -106,14 +130,16 @@ def _find_tuple_classes(numba_types: Iterable[Any]) -> Iterator[type[Any]]:
 
 
 @cache
-def _module_files(name: str) -> frozenset[Path]:
-    """Return the Python files in the folder of a module's package, without subfolders.
+def _find_module_files(name: str) -> frozenset[Path]:
+    """Find the Python files in the folder of a module's package, without subfolders.
 
-    If the module is in no package, return only its own file. A built-in module has no files.
+    If the module is in no package, the result is only its own file. A built-in module has no files.
     """
     origin = sys.modules[name].__file__
     if origin is None:
         return frozenset()
     file = Path(origin)
     is_in_package = (file.parent / "__init__.py").exists()
-    return frozenset(file.parent.glob("*.py") if is_in_package else (file,))
+    if is_in_package:
+        return frozenset(file.parent.glob("*.py"))
+    return frozenset([file])

@@ -78,9 +78,9 @@ def test_cubes_that_are_carried_read_no_mat(folder):
 
         def readings():
             for cube in mat.cubes:
-                cube.program.is_asked = True
+                cube.program.is_reading_requested = True
             lab.clock.sleep_until(lab.clock.now() + SECOND // 20)
-            return [*mat.last]
+            return [*mat.last_readings]
 
         assert None not in readings()
         mat.acting.robots_are_carried = True

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from testkit.cli import tetractl
 from testkit.hand_clock import HandClock
 from tetractl_toio import camera as camera_module
-from tetractl_toio.camera import SILENCE_MAX_NS, CubeReports, ToioCamera, placed
+from tetractl_toio.camera import SILENCE_MAX_NS, CubeReports, ToioCamera, compute_reading
 from tetractl_toio.messages import (
     NOTIFY_MISSED,
     NOTIFY_READINGS,
@@ -92,7 +92,7 @@ def tell_all(camera):
 def test_a_reading_has_whole_units_from_the_origin_y_down_and_turns_clockwise(
     x, y, heading, unit_mm
 ):
-    reading = placed((x, y, heading), (45, 455), unit_mm)
+    reading = compute_reading((x, y, heading), (45, 455), unit_mm)
     assert (reading.x - 45) * unit_mm == pytest.approx(x, abs=unit_mm / 2 + 1e-9)
     assert (455 - reading.y) * unit_mm == pytest.approx(y, abs=unit_mm / 2 + 1e-9)
     assert 0 <= reading.angle < 360

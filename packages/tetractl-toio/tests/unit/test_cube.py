@@ -10,13 +10,13 @@ from testkit.emulator.acting import act
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Timeline
 from tetractl_toio.emulated.cube import (
-    EMPTY_MV,
-    FULL_MV,
-    RUN,
-    STOP,
+    BATTERY_EMPTY_MV,
+    BATTERY_FULL_MV,
+    RUN_FLAG,
+    STOP_FLAG,
     Connection,
     CubeProgram,
-    ns,
+    to_whole_ms_ns,
 )
 from tetractl_toio.messages import (
     NOTIFY_MISSED,
@@ -90,12 +90,12 @@ def test_a_command_that_is_invalid_changes_nothing():
 @pytest.mark.parametrize(
     ("battery_mv", "charge"),
     [
-        (FULL_MV, 100),
-        (FULL_MV + 500, 100),
-        (EMPTY_MV, 0),
-        (EMPTY_MV - 500, 0),
-        ((EMPTY_MV + FULL_MV) // 2, 50),
-        (EMPTY_MV + 60, 10),  # in steps of 10 %
+        (BATTERY_FULL_MV, 100),
+        (BATTERY_FULL_MV + 500, 100),
+        (BATTERY_EMPTY_MV, 0),
+        (BATTERY_EMPTY_MV - 500, 0),
+        ((BATTERY_EMPTY_MV + BATTERY_FULL_MV) // 2, 50),
+        (BATTERY_EMPTY_MV + 60, 10),  # in steps of 10 %
     ],
 )
 def test_the_charge_follows_the_voltage_and_is_answered_when_asked(battery_mv, charge):
@@ -129,10 +129,10 @@ def test_other_settings_are_ignored(payload):
 def test_only_a_message_without_data_asks():
     program = CubeProgram()
     program.push(pack(Characteristic.ID, b"\x01") + pack(Characteristic.BATTERY, b"\x01"), 0)
-    assert not program.is_asked
+    assert not program.is_reading_requested
     assert answers(program) == []
     program.push(pack(Characteristic.ID), 0)
-    assert program.is_asked
+    assert program.is_reading_requested
 
 
 class Cube:
@@ -288,12 +288,12 @@ def test_motor_commands_are_recorded_with_the_cube_that_they_drive():
     link = Link()
     link.connection._record_commands(motor(50, 0) + pack(Characteristic.ID) + motor(0, 0))
     assert link.events == [
-        ("command", {"flags": RUN, "motors": [50, 0], "drives": [False, True]}),
-        ("command", {"flags": STOP, "motors": [0, 0], "drives": [False, False]}),
+        ("command", {"flags": RUN_FLAG, "motors": [50, 0], "drives": [False, True]}),
+        ("command", {"flags": STOP_FLAG, "motors": [0, 0], "drives": [False, False]}),
     ]
 
 
 def test_times_are_rounded_to_whole_milliseconds():
-    assert ns(0.0304) == 30 * MILLISECOND
-    assert ns(0.0306) == 31 * MILLISECOND
-    assert ns(2.0) == 2 * SECOND
+    assert to_whole_ms_ns(0.0304) == 30 * MILLISECOND
+    assert to_whole_ms_ns(0.0306) == 31 * MILLISECOND
+    assert to_whole_ms_ns(2.0) == 2 * SECOND

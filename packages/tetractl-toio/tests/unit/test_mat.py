@@ -4,8 +4,8 @@ import pytest
 from testkit.cli import tetractl
 from testkit.emulator.acting import act
 from testkit.emulator.virtual_lab import virtual_lab
-from tetractl_toio.camera import placed
-from tetractl_toio.emulated.mat import BOTTOM, LEFT, RIGHT, TOP
+from tetractl_toio.camera import compute_reading
+from tetractl_toio.emulated.mat import PRINT_BOTTOM, PRINT_LEFT, PRINT_RIGHT, PRINT_TOP
 from tetractl_toio.messages import Characteristic, Unpacker, decode_reading
 
 from tetractl.core.clock import MILLISECOND
@@ -50,7 +50,7 @@ class Mat:
     def truth(self, i):
         cube = self.cubes[i]
         section = self.mat._section
-        return placed((cube.x, cube.y, cube.heading), section.origin, section.unit_mm)
+        return compute_reading((cube.x, cube.y, cube.heading), section.origin, section.unit_mm)
 
     def place(self, i, x_units, y_units):
         """Put a cube at a place of the mat, in its units."""
@@ -82,7 +82,7 @@ def test_a_cube_reports_its_place_every_10_ms_once_it_is_told_to(mat):
 
 
 def test_a_cube_that_is_asked_reports_once(mat):
-    mat.cubes[1].program.is_asked = True
+    mat.cubes[1].program.is_reading_requested = True
     mat.run(100)
     assert mat.reported == [[], [mat.truth(1)], []]
     assert mat.age_ms(0) > 50
@@ -97,7 +97,7 @@ def test_a_cube_off_the_mat_says_so_once_and_when_it_is_asked(mat):
     assert mat.reported[0][count:] == [None]
     assert mat.age_ms(0) > 280
     assert mat.age_ms(1) <= 21
-    mat.cubes[0].program.is_asked = True
+    mat.cubes[0].program.is_reading_requested = True
     mat.run(100)
     assert mat.reported[0][count:] == [None, None]
     mat.acting.remove(hidden)
@@ -109,12 +109,12 @@ def test_a_cube_off_the_mat_says_so_once_and_when_it_is_asked(mat):
 @pytest.mark.parametrize(
     ("x", "y", "seen"),
     [
-        (LEFT, TOP, True),
-        (RIGHT, BOTTOM, True),
-        (LEFT - 1, TOP, False),
-        (RIGHT + 1, BOTTOM, False),
-        (LEFT, TOP - 1, False),
-        (RIGHT, BOTTOM + 1, False),
+        (PRINT_LEFT, PRINT_TOP, True),
+        (PRINT_RIGHT, PRINT_BOTTOM, True),
+        (PRINT_LEFT - 1, PRINT_TOP, False),
+        (PRINT_RIGHT + 1, PRINT_BOTTOM, False),
+        (PRINT_LEFT, PRINT_TOP - 1, False),
+        (PRINT_RIGHT, PRINT_BOTTOM + 1, False),
     ],
 )
 def test_the_mat_is_printed_up_to_its_edges(mat, x, y, seen):

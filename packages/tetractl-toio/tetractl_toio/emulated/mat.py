@@ -12,21 +12,21 @@ from tetractl_emulator.sides import Body, Facts, Stage
 
 from tetractl.core.errors import SpecError
 from tetractl.spec.base import Model, Name, Point
-from tetractl_toio.camera import placed
-from tetractl_toio.emulated.cube import ns
+from tetractl_toio.camera import compute_reading
+from tetractl_toio.emulated.cube import to_whole_ms_ns
 from tetractl_toio.emulated.side import ConnectedCube
 from tetractl_toio.messages import Characteristic, CubeReading, encode_reading, pack
 from tetractl_toio.section import ToioCameraSection
 
-# the print of toio Collection's mat, both sides [units of the mat]
-LEFT = 45
-RIGHT = 955
-TOP = 45
-BOTTOM = 455
+# edges of the printed part of toio Collection's mat, on both sides [units of the mat]
+PRINT_LEFT = 45
+PRINT_RIGHT = 955
+PRINT_TOP = 45
+PRINT_BOTTOM = 455
 
 
 class MatSettings(Model):
-    """Properties of the emulated mat readings that a fault script can change."""
+    """Properties of the readings of the emulated mat that a fault script can change."""
 
     notify: Annotated[float, Field(ge=0.01, le=1)] = 0.01
     """Time between two readings of a cube [s]."""
@@ -64,8 +64,8 @@ FAULTS = (
 class EmulatedMat:
     """The mat under emulated cubes, and the schedule of their readings.
 
-    Each cube reads the mat at a fixed interval. A report that reaches the program counts as one
-    exposure and one frame.
+    Each cube reads the mat at a fixed interval. Each report that reaches the program counts as an
+    exposure and a frame.
 
     Args:
         stage: The data and functions that the emulated devices share.
@@ -87,64 +87,64 @@ class EmulatedMat:
             raise SpecError(
                 "a camera of type toio can be emulated only together with an actuator of type toio"
             )
-        self.last: list[CubeReading | None] = [None] * len(self.cubes)
+        self.last_readings: list[CubeReading | None] = [None] * len(self.cubes)
         self.join = stage.wires.ports
         self.acting = stage.acting
         self.shown_ns = [0] * len(bodies)
         self._stage = stage
         self._section = section
-        self._exposures = 0
-        self._every_ns = ns(settings.notify)
+        self._report_count = 0
+        self._reading_interval_ns = to_whole_ms_ns(settings.notify)
 
     def open(self, loop: Loop) -> Facts:
-        """Start the readings of all cubes, each with a random phase.
+        """Schedule the readings of all cubes, each with a random phase.
 
         Returns:
             One entry: "camera" maps to a description for display.
         """
         random = Random(self._stage.options.seed)
         for i in range(len(self.cubes)):
-            start_ns = self._stage.timeline.now_ns + random.randrange(self._every_ns)
-            self._stage.timeline.at(start_ns, lambda i=i: self._read(i))
+            start_ns = self._stage.timeline.now_ns + random.randrange(self._reading_interval_ns)
+            self._stage.timeline.at(start_ns, lambda i=i: self._update_reading(i))
         return {"camera": f"{len(self.cubes)} cubes on a mat"}
 
     def close(self) -> Facts:
-        """Return how many readings the cubes have reported, under the key "frames"."""
-        return {"frames": self._exposures}
+        """Return the number of readings that the cubes have reported, under the key "frames"."""
+        return {"frames": self._report_count}
 
-    def _read(self, i: int) -> None:
-        """Schedule a cube's next reading, let the cube read the mat, and report it if necessary.
+    def _update_reading(self, i: int) -> None:
+        """Let a cube read the mat, report if necessary, and schedule the next reading.
 
-        A cube reports only if it was asked or if notifications are on. It reports only
-        once that it sees no mat.
+        A cube reports only if a program has asked for a reading, or if notifications are on. It
+        reports only once that it sees no mat.
         """
         timeline = self._stage.timeline
         cube = self.cubes[i]
-        timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
+        timeline.at(timeline.now_ns + self._reading_interval_ns, lambda: self._update_reading(i))
         program = cube.program
-        last = self.last[i]
+        last_reading = self.last_readings[i]
         if self.acting.of_kind("no_frames"):
-            self._stage.sent(self._exposures)  # so that the fault is recorded without a report
+            self._stage.sent(self._report_count)  # so that the fault is recorded without a report
             return
-        if not (program.is_notifying or program.is_asked):
+        if not (program.is_notifying or program.is_reading_requested):
             return
-        present = self._reading(cube)
+        present_reading = self._read_mat(cube)
         if not self.acting.of_kind("freeze"):
-            self.last[i] = present
-        newest = self.last[i]
-        if newest is None and last is None and not program.is_asked:
-            return  # that it sees no mat it says once, and when it is asked
-        program.is_asked = False
-        message = pack(Characteristic.ID, encode_reading(newest))
-        at_ns = timeline.now_ns
-        # a frozen reading of a cube that stands is as good as a new one
-        shows_place = newest is not None and newest == present
-        cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
+            self.last_readings[i] = present_reading
+        newest_reading = self.last_readings[i]
+        if newest_reading is None and last_reading is None and not program.is_reading_requested:
+            return  # it reports only once, or on request, that it sees no mat
+        program.is_reading_requested = False
+        message = pack(Characteristic.ID, encode_reading(newest_reading))
+        read_ns = timeline.now_ns
+        # a frozen reading of a stationary cube is as good as a new reading
+        shows_place = newest_reading is not None and newest_reading == present_reading
+        cube.connection.notify(message, lambda: self._record_report(i, shows_place, read_ns))
 
-    def _reading(self, cube: ConnectedCube) -> CubeReading | None:
-        """Return what a cube reads now, including faults.
+    def _read_mat(self, cube: ConnectedCube) -> CubeReading | None:
+        """Compute what a cube reads from the mat now, including faults.
 
-        The result is None if the robots are carried, if a fault hides the cube, or if it is
+        The result is None if the robots are carried, if a fault hides the cube, or if the cube is
         outside the printed part of the mat.
         """
         x = cube.x
@@ -154,21 +154,23 @@ class EmulatedMat:
             y += jump.by[1]
         origin = self._section.origin
         unit = self._section.unit_mm
-        reading = placed((x, y, cube.heading), origin, unit)
-        printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
-        hidden = self.acting.robots_are_carried or self.acting.of_kind("untracked", cube.name)
-        return None if hidden or not printed else reading
+        reading = compute_reading((x, y, cube.heading), origin, unit)
+        is_on_print = (
+            PRINT_LEFT <= reading.x <= PRINT_RIGHT and PRINT_TOP <= reading.y <= PRINT_BOTTOM
+        )
+        is_hidden = self.acting.robots_are_carried or self.acting.of_kind("untracked", cube.name)
+        return None if is_hidden or not is_on_print else reading
 
-    def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:
+    def _record_report(self, i: int, shows_place: bool, read_ns: int) -> None:
         """Record a report that has reached the program.
 
         Args:
             i: Index of the cube.
             shows_place: Whether the report shows where the cube truly was.
-            at_ns: When the cube was read [ns].
+            read_ns: When the cube read the mat [ns].
         """
-        self._exposures += 1
-        self._stage.exposed(self._exposures, self._exposures)
+        self._report_count += 1
+        self._stage.exposed(self._report_count, self._report_count)
         if shows_place:
-            self.shown_ns[i] = max(self.shown_ns[i], at_ns)
-        self._stage.sent(self._exposures)
+            self.shown_ns[i] = max(self.shown_ns[i], read_ns)
+        self._stage.sent(self._report_count)

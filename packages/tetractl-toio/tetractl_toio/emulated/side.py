@@ -20,17 +20,18 @@ from tetractl.core.setup import Setup
 from tetractl.lab.udp_port import SCHEME
 from tetractl.spec.base import Model
 from tetractl.spec.lab_section import LabSection
-from tetractl_toio.emulated.cube import Connection, CubeProgram, ns
+from tetractl_toio.emulated.cube import Connection, CubeProgram, to_whole_ms_ns
 from tetractl_toio.messages import SPEED_MAX, WHEEL_MM_S
 from tetractl_toio.section import ToioSection
 
-NONE = (
+EXCLUDED_FAULTS = (
     *("baud", "bad_bytes", "overtaken_packets", "stopped_elsewhere"),  # Bluetooth has one sender
     *("unplug", "stuck_port"),
 )
-"""Faults that Bluetooth cannot have, because it checks packets and keeps their order.
+"""Faults that emulated cubes do not have.
 
-The faults of ports are also excluded, because they have other reasons.
+Bluetooth checks packets and keeps their order. The faults of ports are added separately, with other
+reasons.
 """
 
 
@@ -81,16 +82,16 @@ class EmulatedCubes(PortedSide):
     robots: Sequence[ConnectedCube]
     Settings: ClassVar[type[Model]] = CubesSettings
     faults: ClassVar[Sequence[type[Fault]]] = (
-        # a cube tells its pose over the same connection
+        # a cube reports its pose over the same connection
         *port_faults("radio", f"{RADIO_REASONS}|{CAMERA_REASONS}", RADIO_REASONS),
-        *(kind for kind in WHEELED_FAULTS if kind.__name__ not in NONE),
+        *(kind for kind in WHEELED_FAULTS if kind.__name__ not in EXCLUDED_FAULTS),
     )
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
         """Sample connections and cubes of a randomised test run; see `tetractl_emulator.sides`."""
-        drawn = super().world_of_day(random, lab, setup)
-        return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
+        settings = super().world_of_day(random, lab, setup)
+        return settings | {"interval": round(random.uniform(0.01, 0.03), 3)}
 
     def __init__(self, stage: Stage, settings: CubesSettings) -> None:
         section = stage.lab.actuator
@@ -105,12 +106,12 @@ class EmulatedCubes(PortedSide):
                 ),
             )
         super().__init__(stage, settings, (SPEED_MAX, WHEEL_MM_S))
-        interval = ns(settings.interval)
+        interval_ns = to_whole_ms_ns(settings.interval)
         self.radios = []
         for i, (cube, spec_entry) in enumerate(zip(self.robots, self.spec_entries, strict=True)):
             port = stage.wires.port(spec_entry.cube)
-            phase = ns(settings.interval * i / len(self.spec_entries))
-            timing = (interval, phase, settings.loss)
+            phase_ns = to_whole_ms_ns(settings.interval * i / len(self.spec_entries))
+            timing = (interval_ns, phase_ns, settings.loss)
             seed = stage.options.seed + i
             cube.connection = Connection(stage, port, cube, self.robots, *timing, seed)
             self.radios.append(cube.connection)

@@ -1,8 +1,9 @@
 """Build wheels and source archives of all packages: `python tools/dist.py FOLDER`, or `make dist`.
 
-The core has two of the same version: one for any Python and system, and one for this Python and
-system that brings its compiled code, for processors of level x86-64-v3. Pip takes the second where
-it fits. Other processors, and other versions of Numba, compile as with the first.
+The core has two wheels of the same version. The first is for any Python and system. The second is
+for this Python and system, and contains compiled code for processors of level x86-64-v3. Pip
+installs the second wheel where it fits. On other processors, and with other versions of Numba, the
+code is compiled when it is first used, as with the first wheel.
 """
 
 import os
@@ -32,62 +33,71 @@ SPECS = (
     "round_obstacle",
     "micro_channels",
 )
-"""Experiments of which one trial each is run: what these compile is in the wheel."""
+"""Experiments of which one trial each is run. The wheel contains the code that these compile."""
 
 
 def main(folder: Path) -> None:
     """Build all wheels and source archives into a folder, which is emptied."""
     shutil.rmtree(folder, ignore_errors=True)
-    packages = sorted(one.parent for one in ROOT.glob("packages/*/pyproject.toml"))
+    packages = sorted(project.parent for project in ROOT.glob("packages/*/pyproject.toml"))
     for package in (ROOT, *packages):
-        source_archive(folder, package)
-    wheel(folder, ROOT, *packages)
+        build_source_archive(folder, package)
+    build_wheels(folder, ROOT, *packages)
     if binding.get_process_triple().startswith("x86_64"):
         with tempfile.TemporaryDirectory() as scratch:
-            wheel(folder, ROOT, TETRACTL_KERNELS=str(kernels(Path(scratch))))
+            kernels = compile_kernels(Path(scratch))
+            build_wheels(folder, ROOT, TETRACTL_KERNELS=str(kernels))
     else:
         print(f"no wheel with compiled code: this is no processor of level {SHIPPED_LEVEL}")
-    for one in sorted(folder.iterdir()):
-        print(f"{one.stat().st_size / 1e6:5.1f} MB  {folder / one.name}")
+    for built_file in sorted(folder.iterdir()):
+        print(f"{built_file.stat().st_size / 1e6:5.1f} MB  {folder / built_file.name}")
 
 
-def wheel(folder: Path, *sources: Path, **variables: str) -> None:
-    """Build the wheels of some packages, by pip."""
+def build_wheels(folder: Path, *packages: Path, **variables: str) -> None:
+    """Build the wheels of packages with pip, with additional environment variables."""
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check"]
-    command += ["--no-deps", "--wheel-dir", str(folder), *map(str, sources)]
+    command += ["--no-deps", "--wheel-dir", str(folder), *map(str, packages)]
     subprocess.run(command, check=True, env=os.environ | variables)
 
 
-def source_archive(folder: Path, package: Path) -> None:
-    """Build the source archive of a package."""
+def build_source_archive(folder: Path, package: Path) -> None:
+    """Build the source archive of a package into a folder."""
     command = [sys.executable, "-m", "build", "--sdist", "--outdir", str(folder), str(package)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
-def kernels(scratch: Path) -> Path:
-    """Compile what trials need in an empty cache; return the folder of the files."""
+def compile_kernels(scratch: Path) -> Path:
+    """Compile the kernels that trials need, and return the folder that contains their files.
+
+    Args:
+        scratch: Folder for the cache, the logs and the kernels.
+    """
     if compiler_settings() != "none":
         sys.exit(f"error: code in a wheel is compiled without {compiler_settings()}")
-    chosen = {
+    settings = {
         FOLDER_VARIABLE: str(scratch / "cache"),
         "NUMBA_CPU_NAME": SHIPPED_LEVEL,
         "NUMBA_CPU_FEATURES": "",
     }
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | chosen
-    found = scratch / "kernels"
-    found.mkdir()
+    environment = os.environ | settings
+    environment.pop("NUMBA_CACHE_DIR", None)
+    kernel_folder = scratch / "kernels"
+    kernel_folder.mkdir()
     for spec in SPECS:
         print(f"compiling: {spec} ...", flush=True)
-        run = [sys.executable, "-m", "tetractl", "run", str(ROOT / f"experiments/{spec}.yaml")]
-        run += ["--plant", "sim", "--trials", "1", "--jobs", "1", "--quiet"]
-        done = subprocess.run(
-            [*run, "--out", str(scratch / spec)], env=environment, capture_output=True, text=True
+        command = [sys.executable, "-m", "tetractl", "run", str(ROOT / f"experiments/{spec}.yaml")]
+        command += ["--plant", "sim", "--trials", "1", "--jobs", "1", "--quiet"]
+        finished = subprocess.run(
+            [*command, "--out", str(scratch / spec)],
+            env=environment,
+            capture_output=True,
+            text=True,
         )
-        if done.returncode:
-            sys.exit(f"{' '.join(run)}\n{done.stderr}")
-    for one in (scratch / "cache").rglob("*.kernel"):
-        shutil.copy(one, found)
-    return found
+        if finished.returncode:
+            sys.exit(f"{' '.join(command)}\n{finished.stderr}")
+    for kernel_file in (scratch / "cache").rglob("*.kernel"):
+        shutil.copy(kernel_file, kernel_folder)
+    return kernel_folder
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ from tetractl.model.cell_numbers import (
     A_LOG_SD,
     A_RAD_S,
     ACTIVATION_EV,
-    BODY_UM,
+    BODY_LENGTH_UM,
+    BODY_WIDTH_UM,
     BOLTZMANN_EV_K,
     DIPOLE_SD_RAD,
     DIVIDED_LENGTH,
@@ -27,11 +28,10 @@ from tetractl.model.cell_numbers import (
     DIVIDED_TURN_RAD,
     HELIX_HZ,
     HELIX_UM,
+    REFERENCE_C,
     SPEED_LOG_SD,
     SPEED_UM_S,
     WALK_RAD_S,
-    WARM_C,
-    WIDTH_UM,
     ZERO_C_K,
 )
 from tetractl.model.motion import swimming
@@ -49,7 +49,7 @@ def compute_speed_factor(temperature_c: float) -> float:
     """
     if not 0.0 <= temperature_c <= 40.0:
         raise ValueError(f"cells do not swim at {temperature_c:g} C; give 0 to 40")
-    inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + temperature_c)
+    inverse = 1 / (ZERO_C_K + REFERENCE_C) - 1 / (ZERO_C_K + temperature_c)
     return exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
 
 
@@ -91,7 +91,11 @@ class Swimmers:
 
     @classmethod
     def drawn(
-        cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
+        cls,
+        random: np.random.Generator,
+        count: int,
+        unmagnetised: int = 0,
+        celsius: float = REFERENCE_C,
     ) -> Self:
         """Sample random cells, all at the origin.
 
@@ -114,8 +118,8 @@ class Swimmers:
             heading=random.uniform(-math.pi, math.pi, count),
             depth=random.normal(0, swimming.SINK_UM, count),
             phase=random.uniform(0, 2 * math.pi, count),
-            length=sample_clipped(*BODY_UM),
-            width=sample_clipped(*WIDTH_UM),
+            length=sample_clipped(*BODY_LENGTH_UM),
+            width=sample_clipped(*BODY_WIDTH_UM),
             speed=median_speed * elementwise.exp(random.normal(0, SPEED_LOG_SD, count)),
             helix_um=sample_clipped(*HELIX_UM),
             helix_hz=sample_clipped(*HELIX_HZ),

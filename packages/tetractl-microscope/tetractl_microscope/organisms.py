@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from tetractl.core.errors import UsageError
-from tetractl.model.cell_numbers import BODY_UM, HELIX_HZ, HELIX_UM, WIDTH_UM
+from tetractl.model.cell_numbers import BODY_LENGTH_UM, BODY_WIDTH_UM, HELIX_HZ, HELIX_UM
 from tetractl_microscope.registries import ORGANISMS
 
 # Maximum factor by which an outline in an image is longer or shorter than the body.
@@ -85,8 +85,8 @@ def _within(mean: float, deviation: float) -> Range:
 
 TETRAHYMENA = Organism(
     name="tetrahymena",
-    long_um=_within(*BODY_UM),
-    wide_um=_within(*WIDTH_UM),
+    long_um=_within(*BODY_LENGTH_UM),
+    wide_um=_within(*BODY_WIDTH_UM),
     speed_um_s=(180.0, 760.0),
     helix_hz=HELIX_HZ,
     helix_um=HELIX_UM,

@@ -10,7 +10,7 @@ from tetractl_microscope.organisms import EUGLENA, PARAMECIUM, TETRAHYMENA, name
 from tetractl_microscope.registries import ORGANISMS
 
 from tetractl.core.errors import UsageError
-from tetractl.model.cell_numbers import BODY_UM, WIDTH_UM
+from tetractl.model.cell_numbers import BODY_LENGTH_UM, BODY_WIDTH_UM
 
 
 @pytest.mark.parametrize("name", ORGANISMS.names())
@@ -38,7 +38,8 @@ def test_a_file_may_add_an_organism_by_its_name(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize(
-    ("bounds", "body"), [(TETRAHYMENA.long_um, BODY_UM), (TETRAHYMENA.wide_um, WIDTH_UM)]
+    ("bounds", "body"),
+    [(TETRAHYMENA.long_um, BODY_LENGTH_UM), (TETRAHYMENA.wide_um, BODY_WIDTH_UM)],
 )
 def test_about_19_of_20_bodies_are_within_the_ranges(
     bounds: tuple[float, float], body: tuple[float, float]
@@ -51,7 +52,7 @@ def test_about_19_of_20_bodies_are_within_the_ranges(
 def test_quickness_counts_lengths_per_second_relative_to_tetrahymena() -> None:
     assert TETRAHYMENA.quickness == pytest.approx(1.0)
     lengths_per_s = 150.0 / 47.5
-    tetrahymenas = 760.0 / BODY_UM[0]
+    tetrahymenas = 760.0 / BODY_LENGTH_UM[0]
     assert EUGLENA.quickness == pytest.approx(lengths_per_s / tetrahymenas)
 
 

@@ -98,13 +98,15 @@ def compute_min_total_error(setup: Setup, seconds: float) -> float:
     targets. Obstacles are ignored.
     """
     single_errors = compute_min_distances(setup, seconds)
-    pairs, pair_errors = _compute_pair_bounds(setup, seconds)
-    gain = pair_errors - single_errors[pairs[:, 0]] - single_errors[pairs[:, 1]]
+    pair_indices, pair_errors = _compute_pair_bounds(setup, seconds)
+    gain = pair_errors - single_errors[pair_indices[:, 0]] - single_errors[pair_indices[:, 1]]
     raising_pairs = np.flatnonzero((gain > 0) & np.isfinite(gain))
     raising_pairs = raising_pairs[np.argsort(-gain[raising_pairs], kind="stable")[:PAIRS_MAX]]
     if not raising_pairs.size:
         return float(single_errors.sum())
-    return _minimise_error_sum(single_errors, pairs[raising_pairs], pair_errors[raising_pairs])
+    return _minimise_error_sum(
+        single_errors, pair_indices[raising_pairs], pair_errors[raising_pairs]
+    )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of robots that hardly move, p overflows
@@ -132,7 +134,7 @@ def _compute_pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64
 
 
 def _minimise_error_sum(
-    single_errors: Floats, pairs: NDArray[np.int64], pair_errors: Floats
+    single_errors: Floats, pair_indices: NDArray[np.int64], pair_errors: Floats
 ) -> float:
     """Compute the minimum of the total error e_1 + ... + e_N by a linear programme.
 
@@ -143,9 +145,9 @@ def _minimise_error_sum(
     from scipy.optimize import linprog
     from scipy.sparse import coo_array
 
-    rows = np.repeat(np.arange(len(pairs)), 2)
-    shape = (len(pairs), len(single_errors))
-    sums = coo_array((-np.ones(rows.size), (rows, pairs.ravel())), shape)
+    rows = np.repeat(np.arange(len(pair_indices)), 2)
+    shape = (len(pair_indices), len(single_errors))
+    sums = coo_array((-np.ones(rows.size), (rows, pair_indices.ravel())), shape)
     scale = max(pair_errors.max(), 1.0)  # the solver's tolerances are absolute
     solution = linprog(
         np.ones(len(single_errors)),
@@ -154,5 +156,5 @@ def _minimise_error_sum(
         bounds=np.column_stack([single_errors / scale, np.full(len(single_errors), np.inf)]),
     )
     # if the solver fails, each single pair still bounds the total
-    fallback = single_errors.sum() + np.max(pair_errors - single_errors[pairs].sum(axis=1))
+    fallback = single_errors.sum() + np.max(pair_errors - single_errors[pair_indices].sum(axis=1))
     return float(solution.fun * scale if solution.success else fallback)

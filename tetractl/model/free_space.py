@@ -72,11 +72,11 @@ def blocked_target_distances(setup: Setup, margin: float, has_walls: bool) -> Fl
         return cells
 
     min_target_distances = np.zeros(len(setup.targets))
-    for i, (start, target) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
-        is_reached = find_connected_cells(cells_around(start), is_free)
-        if is_reached.any() and not (is_reached & cells_around(target)).any():
+    for i, (start_xy, target_xy) in enumerate(zip(setup.starts.xy, setup.targets, strict=True)):
+        is_reached = find_connected_cells(cells_around(start_xy), is_free)
+        if is_reached.any() and not (is_reached & cells_around(target_xy)).any():
             rows, columns = np.nonzero(is_reached)
-            nearest = elementwise.hypot(x[columns] - target[0], y[rows] - target[1]).min()
+            nearest = elementwise.hypot(x[columns] - target_xy[0], y[rows] - target_xy[1]).min()
             min_target_distances[i] = max(nearest - cell_size / math.sqrt(2), 0.0)
     return min_target_distances
 

@@ -173,8 +173,8 @@ def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verd
         samples = path[tracked[:, robot], robot]
         if len(samples):
             robot_check = PathCheck(path_check.obstacles, setup.arena, 1)
-            for start in range(0, len(samples), BLOCK_SAMPLES):
-                samples_block = samples[start : start + BLOCK_SAMPLES]
+            for first_row in range(0, len(samples), BLOCK_SAMPLES):
+                samples_block = samples[first_row : first_row + BLOCK_SAMPLES]
                 robot_check.add(samples_block[:, :1], samples_block[:, 1:2])
             path_check.entered[robot] = robot_check.entered[0]
             path_check.clearance[robot] = robot_check.clearance[0]

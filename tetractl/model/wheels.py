@@ -141,19 +141,31 @@ class WheelHost:
         self._rounding_errors = np.zeros((2, a.size))
 
     def compute_speeds(
-        self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
+        self,
+        headings: Floats,
+        direction: float,
+        measured_ns: int,
+        acts_ns: int,
+        is_driving: bool = True,
     ) -> Floats:
         """Compute the wheel speeds (2, N) with which robots follow a direction; see `wish`.
 
         Args:
-            heading: Measured headings [rad], shape (N,).
-            u: The direction [rad].
-            since_ns: Time of the measurement [ns].
+            headings: Measured headings [rad], shape (N,).
+            direction: The direction u [rad].
+            measured_ns: Time of the measurement [ns].
             acts_ns: When the command takes effect [ns].
-            drives: Whether robots drive. If not, they turn on the spot.
+            is_driving: Whether robots drive. If not, they turn on the spot.
         """
-        robots = self._known_robots if drives else self._known_robots.turning()
-        return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent_rates)
+        robots = self._known_robots if is_driving else self._known_robots.turning()
+        return wish(
+            headings,
+            np.full(headings.shape, direction),
+            measured_ns,
+            acts_ns,
+            robots,
+            self._sent_rates,
+        )
 
     def assume_lag(self, lag_s: float) -> None:
         """Set the lag of the wheels [s] that the host assumes, starting with the next command."""

@@ -11,7 +11,7 @@ from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.model.motion.wheel_equations import wheel_speeds
-from tetractl.plant.direct import aim
+from tetractl.plant.direct import find_aimed_directions
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.transit import Transit
 from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
@@ -151,7 +151,7 @@ class CommandSender:
             return None, None, None
         # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged
         headings = answered_frame.poses.heading
-        sine = elementwise.sin(aim(self._held_action, headings) - headings)
+        sine = elementwise.sin(find_aimed_directions(self._held_action, headings) - headings)
         speed = np.zeros(headings.size) if isinstance(self._held_action, Turn) else setup.speed
         left_speed, right_speed = wheel_speeds(sine, setup.a, speed, setup.wheel_radius)
         return left_speed, right_speed, None

@@ -118,7 +118,7 @@ class LabFrames:
         self._addition_by_exposure_ns: dict[int, FrameAddition] = {}
         self._recent_observations: deque[Observation] = deque(maxlen=RECENT_OBSERVATIONS_MAX)
 
-    def begin(self) -> None:
+    def skip_to_newest(self) -> None:
         """Ignore all frames before the newest frame, which `read` then returns first."""
         self._read_count = self._rig.loop.frames.count - 1
 
@@ -234,7 +234,7 @@ class LabPlant:
         for warning in findings.all_warnings:
             self._unread_notes.append(Note(now_ns, "warning", warning))
         rig.loop.guard.pass_preflight()
-        self._frames.begin()
+        self._frames.skip_to_newest()
         if rig.loop.frames.newest is None:
             raise AbortError("no camera frame has arrived")
         rate_hz = findings.camera_rate_hz or 0.0

@@ -213,7 +213,7 @@ class SimPlant:
         moment of sending, from the newest frame.
         """
         planned_frame = self.observe()
-        self._let_planning_time_pass()
+        self._sleep_planning_time()
         now_ns = self.clock.now()
         if isinstance(action, Stop):
             command = self._sender.send_stops(now_ns, planned_frame)
@@ -286,7 +286,7 @@ class SimPlant:
                 raise AbortError(f"no camera frame has arrived for {NO_FRAME_TIMEOUT_S} s")
             self._catch_up()
 
-    def _let_planning_time_pass(self) -> None:
+    def _sleep_planning_time(self) -> None:
         """Sleep for the planning time. Without a disturbance, the planning time is 0."""
         now_ns = self.clock.now()
         planning_s = sum(

@@ -10,7 +10,7 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.model.motion.rolling import KnownRobots, SentRates, note
 from tetractl.model.wheels import COUNT_MAX
-from tetractl.plant.direct import aim
+from tetractl.plant.direct import find_aimed_directions
 from tetractl.plant.sim_section import WheelDriveSection
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class SimHost:
             self._known_robots = self._known_robots._replace(lag_s=action.lag_s)
         self._last_speeds = self._compute_speeds(
             heading=headings,
-            u=aim(action, headings),
+            u=find_aimed_directions(action, headings),
             since_ns=measured_ns,
             acts_ns=acts_ns,
             robots=self._known_robots.turning() if isinstance(action, Turn) else self._known_robots,

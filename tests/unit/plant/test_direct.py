@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Poses
 from tetractl.core.registries import MOTIONS
-from tetractl.plant.direct import DirectDrive, aim
+from tetractl.plant.direct import DirectDrive, find_aimed_directions
 from tetractl.spec.disturbance import DelayedCommand
 
 A = np.array([2.0, 0.7])
@@ -156,5 +156,9 @@ def test_with_the_motion_euler_robots_drive_straight_from_where_they_headed_at_t
 
 def test_each_action_names_the_direction_to_which_robots_turn():
     heading = np.array([0.1, 0.2])
-    assert aim(Steer(0.5), heading).tolist() == aim(Turn(0.5), heading).tolist() == [0.5, 0.5]
-    assert aim(FieldOff(), heading) is heading
+    assert (
+        find_aimed_directions(Steer(0.5), heading).tolist()
+        == find_aimed_directions(Turn(0.5), heading).tolist()
+        == [0.5, 0.5]
+    )
+    assert find_aimed_directions(FieldOff(), heading) is heading

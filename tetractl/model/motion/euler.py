@@ -1,6 +1,6 @@
-"""The paper's discrete model (4)-(6): a straight chord along the old heading, then a turn.
+"""The paper's discrete model (4)-(6): robots drive straight along the old heading, then turn.
 
-The last direction of a sequence therefore cannot move the last position.
+The last direction of a sequence therefore has no effect on the final position.
 """
 
 from typing import Any
@@ -30,11 +30,11 @@ def hold(
     After a whole period, this equals (4)-(6).
     """
     chord = v * t
-    half = 0.5 * held.turning * t
+    half_turn = 0.5 * held.turning * t
     return (
         x + chord * elementwise.cos(held.course),
         y + chord * elementwise.sin(held.course),
-        heading + 2 * half,
+        heading + 2 * half_turn,
     )
 
 

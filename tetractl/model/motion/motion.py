@@ -1,4 +1,4 @@
-"""The interfaces of a motion model, which the planner, its compiled code and the simulation share.
+"""The interfaces of a motion model, shared by the planner, its compiled code and the simulation.
 
 A motion is one file that defines a `Motion`, and one line in `tetractl.core.registries` that names
 it. See docs/how-to/extend.md.
@@ -24,35 +24,46 @@ derivative of the heading with respect to u is 1 minus the one with respect to t
 
 
 PARAMETERS = "a", "speed"
-"""The parameters of all motions, in the order of function arguments.
+"""The parameters of a robot in all motions, in the order of function arguments.
 
-They are a [rad/s] and the speed v [length unit/s]. Both are above 0, because derivatives are taken
-with respect to their logarithms.
+They are the turning rate a [rad/s] and the speed v [length unit/s]. Both are above 0, because
+derivatives are taken with respect to their logarithms.
 """
 
 
 def in_rows(robots: Any) -> Floats:
-    """Collect the PARAMETERS of a problem's or a prior's robots in one array (N, K)."""
+    """Collect the PARAMETERS of robots in one array (N, K), one row for each robot.
+
+    Args:
+        robots: A planning problem or a prior, with the attributes `a` and `speed`.
+    """
     return np.column_stack([robots.a, robots.speed])
 
 
 LOWER = -math.pi
-"""Minimum direction u of a search, lb of the paper's (12) [rad]."""
+"""Minimum direction u of a search [rad]: lb in the paper's (12)."""
 UPPER = math.pi
-"""Maximum direction u of a search, ub of the paper's (12) [rad]."""
+"""Maximum direction u of a search [rad]: ub in the paper's (12)."""
 
 
 @dataclass(slots=True)
 class Held:
-    """The commands that N robots follow at present, shape (N,) each.
+    """The commands that N robots follow at present, as arrays of shape (N,).
 
     Before its first command, a robot stands still.
+
+    Attributes:
+        direction: The direction u of the command [rad].
+        turning: Turning rate when the robot received the command [rad/s]: a sin(u - heading), by
+            the paper's (3).
+        course: Heading when the robot received the command [rad].
+        moving: 1 if the robot moves, 0 if it stands still.
     """
 
-    direction: Floats  # u [rad]
-    turning: Floats  # a sin(u - heading) when the command was received [rad/s], (3)
-    course: Floats  # heading when the command was received [rad]
-    moving: Floats  # 1 if the robot moves, 0 if it stands
+    direction: Floats
+    turning: Floats
+    course: Floats
+    moving: Floats
 
 
 class StepFunction(Protocol):
@@ -66,33 +77,33 @@ class StepFunction(Protocol):
     def __call__(
         self, x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
     ) -> XYHeading:
-        """Compute x, y and heading of robots after one step in a given direction."""
+        """Compute x, y and heading of robots after a step in a given direction."""
         ...
 
 
 class Hold(Protocol):
     """A function that computes poses of simulated robots while no new command arrives.
 
-    The poses are in closed form. Arguments are as for `StepFunction`, with the held command instead
-    of u. t has shape (M, N), and so have the poses.
+    The poses are in closed form. The arguments are the same as those of `StepFunction`, but with
+    the held commands instead of u. The times t and the poses have shape (M, N).
     """
 
     def __call__(
         self, x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
     ) -> XYHeading:
-        """Compute x, y and heading of robots after the time t in a given direction."""
+        """Compute x, y and heading of robots after following their commands for a time t."""
         ...
 
 
 class Lanes(Protocol):
     """The constants of N robots for steps of one duration, and compiled functions for one robot.
 
-    It is a `NamedTuple` with the fields `rows` and `pieces`. Each class gets its own compiled
-    kernel. The functions, and the plain functions that they call, are compiled together with the
-    kernel; they may use arithmetic, `math` and `tetractl.model.motion.polynomials`. `advance` runs
-    in a loop over particles, and `differentiate` in a loop over signals. The compiler turns these
-    loops into vector code if the functions use conditional values instead of branches, and
-    polynomials instead of calls to `math`.
+    An implementation is a `NamedTuple` with the fields `rows` and `pieces`. Each class gets its own
+    compiled kernel. The functions, and the plain functions that they call, are compiled together
+    with the kernel. They may use arithmetic, `math` and `tetractl.model.motion.polynomials`.
+    `advance` runs in a loop over particles, and `differentiate` in a loop over signals. The
+    compiler turns these loops into vector code if the functions use conditional values instead of
+    branches, and polynomials instead of calls to `math`.
     """
 
     size: int
@@ -104,7 +115,7 @@ class Lanes(Protocol):
 
     @property
     def pieces(self) -> int:
-        """Number of equal pieces into which a step is divided. `advance` computes one piece."""
+        """Number of equal pieces of a step. `advance` computes a single piece."""
         ...
 
     @classmethod
@@ -150,10 +161,10 @@ class Lanes(Protocol):
 class PlainLanes(NamedTuple):
     """The base class of `Lanes` for a motion that computes nothing in advance.
 
-    Its constants are the PARAMETERS of each robot, and t.
+    The constants of a robot are its PARAMETERS and the duration t of a step.
 
-    A subclass implements `differentiate` and `advance`. The latter may consist of `differentiate`
-    and `onwards`.
+    A subclass implements `differentiate` and `advance`. The method `advance` may combine
+    `differentiate` with `onwards`.
     """
 
     rows: Floats  # (N, K + 1)

@@ -34,7 +34,7 @@ import cv2
 import numpy as np
 from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
 from tetractl_microscope.cells.tracking import CellTracker
-from tetractl_microscope.organisms import Organism, named
+from tetractl_microscope.organisms import Organism, find_organism
 from tetractl_microscope.pictures.feed import SourceEndedError
 from tetractl_microscope.pictures.picture_section import FileSource
 from tetractl_microscope.tracks.field_file import no_field
@@ -265,7 +265,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     try:
         images, rate_hz = read_film(chosen.film, chosen.rate)
-        organism = named(chosen.organism)
+        organism = find_organism(chosen.organism)
     except TetractlError as error:
         sys.exit(f"error: {error.message}")
     forwards, backwards = (

@@ -1,4 +1,4 @@
-"""The guard's checks of cells, which share one field, swim on without it and wander.
+"""Safety checks of cells in a lab: cells share one field, swim on without it, and wander.
 
 A cell cannot be stopped: one that does not swim as commanded is warned of, one that leaves is lost,
 and one that meets an obstacle swims on. Two cells that come too close end the run.
@@ -70,7 +70,7 @@ class SwimCheck(MotionCheck):
     ) -> None:
         """Record the rates that a transmission allows; see `GuardCheck.record_transmission`."""
         speeds = np.array(speed)
-        slowest, fastest = turning_rates(np.array(turning), self._a)
+        slowest, fastest = compute_turning_rate_range(np.array(turning), self._a)
         speed_error = RATE_SLACK * np.abs(speeds)
         minimum = np.array(
             [speeds - speed_error, -speed_error, slowest - RATE_SLACK * np.abs(slowest)]
@@ -91,11 +91,11 @@ class SwimCheck(MotionCheck):
             yield Warn(f"{self._names[robot]} {fault.text}")
 
     def check_pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
-        """Find nothing, because cells swim on; see `GuardCheck.check_pause`."""
+        """Report nothing, because cells swim on during a pause; see `GuardCheck.check_pause`."""
         return ()
 
 
-def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
+def compute_turning_rate_range(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
     """Compute the minimum and maximum rate at which cells with a tilted magnet turn.
 
     Args:
@@ -113,7 +113,7 @@ def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
 
 
 class StayCheck(GuardCheck):
-    """A check that loses a cell that leaves the arena, and aborts if two come too close."""
+    """A check that reports cells that leave the arena as lost, and aborts if two come too close."""
 
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules

@@ -17,9 +17,9 @@ from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.rig import Rig
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.dish_abilities import tracker_of
+from tetractl_microscope.choice.dish_abilities import require_cell_tracker
 from tetractl_microscope.choice.section import Choice
-from tetractl_microscope.choice.turn_field import manoeuvre, turn_field
+from tetractl_microscope.choice.turn_field import create_rotating_field, turn_field
 from tetractl_microscope.one_recording import EXPLAINED_FRACTION_MIN
 from tetractl_microscope.sent_directions import FieldAt, compute_courses, fit_turning
 
@@ -79,7 +79,7 @@ def watch_turning(
         The cells in view, and how they turned, or None if too few cells were seen for long enough.
     """
     seen_paths: dict[int, list[tuple[float, float, float]]] = {}
-    tracker = tracker_of(rig)
+    tracker = require_cell_tracker(rig)
 
     def record_positions() -> None:
         newest = rig.loop.frames.newest
@@ -95,7 +95,7 @@ def watch_turning(
         cells = turn_field(rig, choice, seed, supervision, record_positions)
     finally:
         rig.loop.stop()  # also if it raises: devices close slowly, the camera first
-    direction_at = manoeuvre(choice.turn, seed)
+    direction_at = create_rotating_field(choice.turn, seed)
 
     def field_at(times: Floats) -> NDArray[np.complex128]:
         directions = np.array([direction_at(round(time_s * SECOND)) for time_s in times])

@@ -1,4 +1,4 @@
-"""`tetractl lab markers`: the tags of robots and floor as a PDF, to be printed at true size."""
+"""`tetractl lab markers`: writes a PDF of the tags for robots and floor, to print at true size."""
 
 from collections.abc import Iterator, Sequence
 from io import BytesIO
@@ -26,7 +26,7 @@ FONT_MODULES = 0.45
 
 
 class Card(NamedTuple):
-    """A tag with its white margin.
+    """A printed card: a tag with its white margin.
 
     Attributes:
         tag: Number of the tag.
@@ -89,7 +89,7 @@ def markers(
         for tag in camera.floor
     ]
     pages = [draw_page(PAPERS[paper], page) for page in arrange_cards(PAPERS[paper], cards)]
-    write_atomically(out, _pdf(pages))
+    write_atomically(out, _format_pdf(pages))
     print(out)
     ui.print_messages(
         f"wrote {len(cards)} tags on {len(pages)} pages of {paper} paper; print them "
@@ -130,7 +130,7 @@ def arrange_cards(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[
 
 
 def draw_page(size: tuple[float, float], page: Sequence[PlacedCard]) -> "Figure":
-    """Return a page of a size (width, height) [mm] with its tags, labels and ruler, as vectors.
+    """Draw a page of a size (width, height) [mm] with its tags, labels and ruler, as vectors.
 
     Positions on the page are counted from its lower left corner [mm].
     """
@@ -171,7 +171,7 @@ def _draw_tag(axes: "Axes", x: float, y: float, card: Card) -> None:
 
 
 def _draw_arrow(axes: "Axes", x: float, y: float, card: Card) -> None:
-    """Draw an arrow, and what it points to, beside the tag's top right corner.
+    """Draw an arrow with a label beside the top right corner of a tag.
 
     There the detector does not look for the edges of the tag, so that its corners stay exact.
     """
@@ -195,7 +195,7 @@ def _draw_arrow(axes: "Axes", x: float, y: float, card: Card) -> None:
     )
 
 
-def _pdf(pages: Sequence["Figure"]) -> bytes:
+def _format_pdf(pages: Sequence["Figure"]) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
     content = BytesIO()

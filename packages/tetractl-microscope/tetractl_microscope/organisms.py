@@ -20,12 +20,12 @@ OUTLINE_FACTOR = 1.6
 SLOW_FRACTION = 1 / 3  # an organism that swims at less than this fraction of its lowest speed rests
 
 Range = tuple[float, float]
-"""The lowest and the highest value."""
+"""The range of a quantity: its lowest and its highest value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Organism:
-    """A kind of swimmer.
+    """A swimming organism, with the usual sizes, speeds and helices of its cells.
 
     Attributes:
         name: Its name.
@@ -78,15 +78,15 @@ class Organism:
         return fastest / (TETRAHYMENA.speed_um_s[1] / TETRAHYMENA.body_um[0])
 
 
-def _within(mean: float, deviation: float) -> Range:
-    """Return the range of about 95 % of normal values: the mean plus and minus two deviations."""
+def _range_of_95_percent(mean: float, deviation: float) -> Range:
+    """Compute the range of about 95 % of normal values: the mean -/+ two standard deviations."""
     return mean - 2 * deviation, mean + 2 * deviation
 
 
 TETRAHYMENA = Organism(
     name="tetrahymena",
-    long_um=_within(*BODY_LENGTH_UM),
-    wide_um=_within(*BODY_WIDTH_UM),
+    long_um=_range_of_95_percent(*BODY_LENGTH_UM),
+    wide_um=_range_of_95_percent(*BODY_WIDTH_UM),
     speed_um_s=(180.0, 760.0),
     helix_hz=HELIX_HZ,
     helix_um=HELIX_UM,
@@ -149,8 +149,8 @@ MAGNETOSPIRILLUM = Organism(
 )
 
 
-def named(name: str) -> Organism:
-    """Return the organism with this name.
+def find_organism(name: str) -> Organism:
+    """Find an organism by its name.
 
     Raises:
         UsageError: If there is none.

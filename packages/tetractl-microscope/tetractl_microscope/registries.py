@@ -7,7 +7,7 @@ from tetractl.core.registry import Registry
 EXAMPLES = Path(__file__).parent / "examples"
 """The folder of the examples that `tetractl init --example` writes."""
 TEMPLATES = Path(__file__).parent / "templates"
-"""The folder of the parts of `tetractl init --lab --camera apriltag`."""
+"""The folder of the templates for `tetractl init --lab --camera apriltag`."""
 
 PICTURE_SOURCES = Registry(
     "tetractl.picture_sources",

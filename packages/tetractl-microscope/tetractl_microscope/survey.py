@@ -85,8 +85,8 @@ def survey(
     from tetractl.spec.yaml.settings import with_settings
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.closed_loop import Noise
-    from tetractl_microscope.choice.first_plans import planner, tolerance
-    from tetractl_microscope.choice.ranked import rank_choices, similar_pairs
+    from tetractl_microscope.choice.first_plans import compute_cost_tolerance, select_planner
+    from tetractl_microscope.choice.ranked import find_similar_pairs, rank_choices
     from tetractl_microscope.choice.section import Choice
     from tetractl_microscope.handedness import describe_handedness, watch_turning
 
@@ -117,11 +117,11 @@ def survey(
         ui.build_rig_of(experiment, supervision) as rig,
     ):
         cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
-    wrong, turning = describe_handedness(turned)
-    ui.print_messages(*(f"warning: {problem}" for problem in wrong))
-    pairs = list(similar_pairs(cells))
+    problems, turning = describe_handedness(turned)
+    ui.print_messages(*(f"warning: {problem}" for problem in problems))
+    cell_pairs = list(find_similar_pairs(cells))
     if not as_json:
-        _print_cells(cells, pairs, unit)
+        _print_cells(cells, cell_pairs, unit)
         print(f"turning: {turning}")
 
     def report_progress(count: int, total: int) -> None:
@@ -134,7 +134,7 @@ def survey(
         listed_choices = [
             {"cells": proposal.numbers, "error": proposal.error} for proposal in choices
         ]
-        numbers = [[first.number, second.number] for first, second in pairs]
+        numbers = [[first.number, second.number] for first, second in cell_pairs]
         listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
         print(
             format_json(
@@ -149,15 +149,15 @@ def survey(
         )
     else:
         for proposal in choices:
-            print(_choice_line(proposal, unit))
+            print(_format_choice(proposal, unit))
     if not choices or not math.isfinite(choices[0].error):
-        control = planner(experiment)
+        control = select_planner(experiment)
         responding_count = sum(cell.magnetised for cell in cells)
         horizon_s = control.horizon_max * control.signal_periods * control.period
         if choices:
             reason = (
                 f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
-                f"{tolerance(control):g} {unit} of the targets"
+                f"{compute_cost_tolerance(control):g} {unit} of the targets"
             )
         elif responding_count < choice.choose:
             reason = (
@@ -221,7 +221,7 @@ def _parse_micrometer(text: str) -> tuple[tuple[float, float], tuple[float, floa
     return (first_column, first_row), (second_column, second_row), distance_um
 
 
-def _choice_line(proposal: "RankedChoice", unit: str) -> str:
+def _format_choice(proposal: "RankedChoice", unit: str) -> str:
     """Format a choice of cells in one line: its predicted error, and the cells near the edge.
 
     If the error is infinite, it is written as "none, as no plan was found".
@@ -239,7 +239,7 @@ def _choice_line(proposal: "RankedChoice", unit: str) -> str:
 
 def _print_cells(
     cells: "Sequence[RobotCandidate]",
-    pairs: "Sequence[tuple[RobotCandidate, RobotCandidate]]",
+    cell_pairs: "Sequence[tuple[RobotCandidate, RobotCandidate]]",
     unit: str,
 ) -> None:
     """Print each cell with the 95 % intervals of its turning rate a and its speed.
@@ -256,5 +256,5 @@ def _print_cells(
             f"a {cell.a:.2f} ± {NORMAL_QUANTILE * cell.a_sd:.2f} rad/s, speed {cell.speed:.0f} "
             f"± {NORMAL_QUANTILE * cell.speed_sd:.0f} {unit}/s{response_note}{edge_note}"
         )
-    for first, second in pairs:
+    for first, second in cell_pairs:
         print(f"cells {first.number} and {second.number} cannot be distinguished after they meet")

@@ -81,7 +81,7 @@ def track(
 
     Example: tetractl track tracks.csv --field field.csv --scale 2.3 --rate 30 -o cells
     """
-    from tetractl_microscope.organisms import named
+    from tetractl_microscope.organisms import find_organism
     from tetractl_microscope.sent_directions import (
         SHORT_DELAYS_S,
         check_directions,
@@ -89,18 +89,18 @@ def track(
         create_mirror_reading,
         create_other_readings,
     )
-    from tetractl_microscope.tracks.cell_tables import cell_data, cell_tables
+    from tetractl_microscope.tracks.cell_tables import create_cell_tables, create_data_table
     from tetractl_microscope.tracks.field_file import (
         describe_clock_mismatches,
         describe_wrong_directions,
         read_field,
     )
-    from tetractl_microscope.tracks.foreign_tracks import spot_tracks
+    from tetractl_microscope.tracks.foreign_tracks import read_spot_tracks
     from tetractl_microscope.tracks.swimming_tracks import (
         create_track_record,
+        describe_moving_stage,
         find_organism_by_speed,
         select_swimming_tracks,
-        stage_remarks,
     )
 
     if y_down and field is None:
@@ -110,11 +110,11 @@ def track(
             f"{tracks}: the file is a video, but this command needs tracks",
             "track the cells with trackpy or TrackMate, and give the table that it writes",
         )
-    stated_organism = None if organism is None else named(organism)
+    stated_organism = None if organism is None else find_organism(organism)
     ui.refuse_filled(out)
     directions = None if field is None else read_field(field, y_down)
     remarks: list[str] = []
-    spots = spot_tracks(tracks, scale, rate, remarks)
+    spots = read_spot_tracks(tracks, scale, rate, remarks)
     ui.print_messages(*remarks)
     cells = select_swimming_tracks(tracks, spots, directions is not None)
     ui.print_messages(*cells.remarks)
@@ -129,7 +129,7 @@ def track(
             str(field), compute_courses(path_rows), directions, SHORT_DELAYS_S, readings
         )
         ui.print_messages(*describe_wrong_directions(directions, path_rows))
-    stage_warnings = stage_remarks(cells.paths, directions)
+    stage_warnings = describe_moving_stage(cells.paths, directions)
     ui.print_messages(*stage_warnings)
     chosen_organism = (
         find_organism_by_speed(cells.paths) if stated_organism is None else stated_organism
@@ -138,10 +138,10 @@ def track(
         record = create_track_record(
             tracks, cells, chosen_organism, None if stage_warnings else directions
         )
-    ui.print_results(as_json, record, cell_tables(record))
+    ui.print_results(as_json, record, create_cell_tables(record))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         with open_table_files({"cells": out / "cells.csv"}) as add:
-            add("cells", cell_data(record), "")
+            add("cells", create_data_table(record), "")
         ui.print_messages(printable(f"wrote {out}: cells.csv"))
     return Exit.DONE

@@ -9,7 +9,7 @@ from tetractl_microscope.cells.detect_cells import BLOBS_MAX
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.multipart import Multipart
-from tetractl_microscope.pictures.source import decoded
+from tetractl_microscope.pictures.source import decode_to_grey
 
 from testkit.microscope.dish_films import film
 from testkit.targets import Target
@@ -47,7 +47,7 @@ def pictures(data: bytes) -> None:
     parts = Multipart(BOUNDARY)
     tracker.finder.learn(_dish()[0])
     for k, body in enumerate(parts.feed(data)[:20]):
-        grey = decoded(Picture(body, 0), (SIDE, SIDE))
+        grey = decode_to_grey(Picture(body, 0), (SIDE, SIDE))
         if grey is None:
             continue
         cells = tracker.track_image(grey, k / 30, lambda start, end: [(end - start, 1.0, 0.0)])

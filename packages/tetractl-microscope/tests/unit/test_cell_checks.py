@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.cell_checks import MAGNET_MAX_RAD, cell_checks, turning_rates
+from tetractl_microscope.cell_checks import MAGNET_MAX_RAD, cell_checks, compute_turning_rate_range
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
@@ -111,7 +111,7 @@ def test_the_rates_of_tilted_magnets_are_those_of_all_angles_between():
     phi = np.linspace(-np.pi, np.pi, 200)
     off = np.linspace(-MAGNET_MAX_RAD, MAGNET_MAX_RAD, 301)[:, None]
     rates = a * np.sin(phi + off)
-    least, greatest = turning_rates(a * np.sin(phi), a)
+    least, greatest = compute_turning_rate_range(a * np.sin(phi), a)
     np.testing.assert_allclose(least, rates.min(axis=0), atol=1e-4)
     np.testing.assert_allclose(greatest, rates.max(axis=0), atol=1e-4)
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from testkit.paths import EXAMPLES
-from tetractl_microscope.choice.section import Choice, choice_of
+from tetractl_microscope.choice.section import Choice, require_choice
 
 from tetractl.core.errors import SpecError
 from tetractl.log.read.reader import read_trial
@@ -29,7 +29,7 @@ def test_a_choice_has_stand_ins_in_the_middle_until_a_trial_has_found_its_robots
     assert {robot.start for robot in experiment.robots} == {(1500.0, 1500.0)}
     assert experiment.robots[0].target == (2000.0, 1500.0)
     assert experiment.must_choose_robots
-    assert choice_of(experiment) == experiment.stated_robots
+    assert require_choice(experiment) == experiment.stated_robots
 
 
 def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):

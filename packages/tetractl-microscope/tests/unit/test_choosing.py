@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import (
     choose_cells,
+    compute_dissimilarity,
     find_most_similar,
     rate_choice,
-    unlikeness,
-    with_robots,
+    set_robots,
 )
-from tetractl_microscope.choice.scattered_cells import scattered_cells
-from tetractl_microscope.choice.section import Ring, choice_of
+from tetractl_microscope.choice.scattered_cells import generate_cells
+from tetractl_microscope.choice.section import Ring, require_choice
 
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
@@ -56,10 +56,10 @@ def test_a_cell_can_be_steered_if_it_surely_swims_and_turns(a, a_sd, speed, spee
 
 def test_the_unlikeness_is_of_the_two_most_similar_cells_less_its_error():
     a = np.array([2.0, 8.0, 3.0])
-    assert unlikeness(a, np.zeros(3)) == pytest.approx(math.log(3 / 2))
+    assert compute_dissimilarity(a, np.zeros(3)) == pytest.approx(math.log(3 / 2))
     sd = np.array([0.2, 0.1, 0.3])
-    assert unlikeness(a, sd) == pytest.approx(math.log(3 / 2) - math.hypot(0.1, 0.1))
-    assert unlikeness(a[:1], sd[:1]) == math.inf
+    assert compute_dissimilarity(a, sd) == pytest.approx(math.log(3 / 2) - math.hypot(0.1, 0.1))
+    assert compute_dissimilarity(a[:1], sd[:1]) == math.inf
 
 
 @given(st.lists(st.floats(0.5, 9.0), min_size=2, max_size=6), st.randoms(use_true_random=False))
@@ -68,9 +68,9 @@ def test_the_order_and_the_unit_of_turning_rates_do_not_change_the_unlikeness(ra
     sd = 0.1 * np.sqrt(a)
     order = list(range(len(a)))
     random.shuffle(order)
-    same = unlikeness(a[order], sd[order])
-    assert unlikeness(a, sd) == pytest.approx(same)
-    assert unlikeness(10 * a, 10 * sd) == pytest.approx(same)
+    same = compute_dissimilarity(a[order], sd[order])
+    assert compute_dissimilarity(a, sd) == pytest.approx(same)
+    assert compute_dissimilarity(10 * a, 10 * sd) == pytest.approx(same)
 
 
 def numbers(cells):
@@ -155,7 +155,7 @@ def test_a_wanted_cell_must_be_similar_in_turning_rate_and_in_speed(a, speed, fo
 
 def test_chosen_cells_are_robots_at_their_places_with_targets_without_crossing_ways():
     cells = [cell(4, 5.0, 380.0, 2400.0, 900.0, 1.5), cell(9, 3.0, 420.0, 600.0, 1100.0, -2.0)]
-    experiment = with_robots(EXPERIMENT, cells)
+    experiment = set_robots(EXPERIMENT, cells)
     first, second = experiment.robots
     assert (first.name, first.start, first.heading) == ("cell 1", (2400.0, 900.0), 1.5)
     assert (first.a, first.speed, first.target) == (5.0, 380.0, (2500.0, 1000.0))
@@ -166,7 +166,7 @@ def test_chosen_cells_are_robots_at_their_places_with_targets_without_crossing_w
 
 
 def test_a_lost_robot_is_replaced_by_the_cell_that_is_most_similar_to_it():
-    setup = with_robots(EXPERIMENT, [cell(1, 5.0, 400.0), cell(2, 3.0, 500.0)]).setup
+    setup = set_robots(EXPERIMENT, [cell(1, 5.0, 400.0), cell(2, 3.0, 500.0)]).setup
     seen = [cell(7, 5.2, 390.0), cell(8, 4.6, 420.0), cell(9, 3.1, 490.0)]
     assert find_most_similar(setup, 0, seen).number == 7
     assert find_most_similar(setup, 1, seen).number == 9
@@ -180,7 +180,7 @@ def test_scattered_cells_are_away_from_the_edges_and_near_the_typical_values():
     random = np.random.default_rng(2)
     found = []
     for _ in range(60):
-        found += scattered_cells(choice_of(EXPERIMENT), EXPERIMENT.setup, random)
+        found += generate_cells(require_choice(EXPERIMENT), EXPERIMENT.setup, random)
     assert [c.number for c in found[:7]] == [1, 2, 3, 4, 5, 6, 1]
     x, y, heading = np.array([(c.pose.x, c.pose.y, c.pose.heading) for c in found]).T
     for values, low, high in ((x, 375, 2625), (y, 250, 1750), (heading, -math.pi, math.pi)):
@@ -194,8 +194,8 @@ def test_scattered_cells_are_away_from_the_edges_and_near_the_typical_values():
 
 
 def test_there_is_a_scattered_cell_for_each_robot():
-    choice = choice_of(EXPERIMENT).model_copy(update={"choose": 9})
-    assert len(scattered_cells(choice, EXPERIMENT.setup, np.random.default_rng(1))) == 9
+    choice = require_choice(EXPERIMENT).model_copy(update={"choose": 9})
+    assert len(generate_cells(choice, EXPERIMENT.setup, np.random.default_rng(1))) == 9
 
 
 def test_targets_on_a_ring_are_evenly_spaced_anticlockwise_from_its_right():

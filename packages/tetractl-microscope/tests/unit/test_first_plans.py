@@ -2,7 +2,7 @@
 
 import pytest
 from testkit.trials import experiment
-from tetractl_microscope.choice.first_plans import planner, plans
+from tetractl_microscope.choice.first_plans import search_first_plans, select_planner
 
 from tetractl.control.methods.mpc_section import RecommendedMpc
 from tetractl.control.search.optimizers.multistart import Multistart
@@ -20,10 +20,10 @@ CONTROLLER = {
 
 
 def test_any_controller_is_replaced_by_multistart():
-    section = planner(experiment(controller={"type": "ensemble", "period": 0.25}))
+    section = select_planner(experiment(controller={"type": "ensemble", "period": 0.25}))
     assert isinstance(section.optimizer, Multistart)
     assert section.period == 0.25
-    of_swarm = planner(experiment())
+    of_swarm = select_planner(experiment())
     assert isinstance(of_swarm.optimizer, Multistart)
     assert of_swarm.motion == experiment().controller.motion
 
@@ -38,7 +38,7 @@ def test_no_deadline_ends_a_search_however_busy_the_machine_is(monkeypatch):
 
     monkeypatch.setattr(RecommendedMpc, "build", watched_build)
     spec = experiment(controller=CONTROLLER)
-    two_plans = list(plans(planner(spec), spec.setup, seed=0, count=2))
+    two_plans = list(search_first_plans(select_planner(spec), spec.setup, seed=0, count=2))
     assert len(two_plans) == 2
     before_ns = [host.timer() for host in hosts]
     after_ns = [host.timer() for host in hosts]

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tetractl_microscope.choice.turn_field import manoeuvre
+from tetractl_microscope.choice.turn_field import create_rotating_field
 from tetractl_microscope.handedness import (
     Handedness,
     describe_handedness,
@@ -46,7 +46,7 @@ def paths(direction, mirrored=False, rotated=0.0, seed=1):
     return [np.column_stack([times[::4], cell.real, cell.imag]) for cell in places.T]
 
 
-DRIVEN = cache(manoeuvre(3.2, 5))
+DRIVEN = cache(create_rotating_field(3.2, 5))
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -75,8 +75,8 @@ def test_cells_of_the_field_itself_differ_in_direction_only_by_noise():
 
 
 def test_cells_that_do_not_follow_the_field_are_a_problem_and_so_are_too_few():
-    driven = cache(manoeuvre(3.2, 6))
-    turning = find_handedness(paths(driven), field_of(manoeuvre(2.3, 9)))
+    driven = cache(create_rotating_field(3.2, 6))
+    turning = find_handedness(paths(driven), field_of(create_rotating_field(2.3, 9)))
     (problem,), text = describe_handedness(turning)
     assert problem.startswith("the cells do not turn with the field")
     assert "of 7 cells" in text

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 from scipy.stats import norm
-from tetractl_microscope.organisms import EUGLENA, PARAMECIUM, TETRAHYMENA, named
+from tetractl_microscope.organisms import EUGLENA, PARAMECIUM, TETRAHYMENA, find_organism
 from tetractl_microscope.registries import ORGANISMS
 
 from tetractl.core.errors import UsageError
@@ -15,7 +15,7 @@ from tetractl.model.cell_numbers import BODY_LENGTH_UM, BODY_WIDTH_UM
 
 @pytest.mark.parametrize("name", ORGANISMS.names())
 def test_an_organism_found_by_name_has_ordered_ranges_and_a_source(name: str) -> None:
-    organism = named(name)
+    organism = find_organism(name)
     assert organism.name == name
     assert 0 < organism.wide_um[0] < organism.wide_um[1] < organism.long_um[1]
     assert 0 < organism.slowest_um_s < organism.speed_um_s[0] < organism.speed_um_s[1]
@@ -34,7 +34,7 @@ def test_a_file_may_add_an_organism_by_its_name(monkeypatch: pytest.MonkeyPatch)
     vars(mine)["MINE"] = TETRAHYMENA
     monkeypatch.setitem(sys.modules, "mine", mine)
     monkeypatch.setitem(ORGANISMS.builtin, "mine", "mine:MINE")
-    assert named("mine") is TETRAHYMENA
+    assert find_organism("mine") is TETRAHYMENA
 
 
 @pytest.mark.parametrize(
@@ -76,5 +76,5 @@ def test_a_body_is_in_the_middle_of_the_ranges_and_a_third_of_the_lowest_speed_i
 
 def test_an_unknown_organism_is_refused_with_the_known_ones() -> None:
     with pytest.raises(UsageError, match="no organism named 'amoeba'") as error:
-        named("amoeba")
+        find_organism("amoeba")
     assert all(name in str(error.value) for name in ("tetrahymena", "paramecium", "euglena"))

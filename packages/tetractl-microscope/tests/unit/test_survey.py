@@ -4,7 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from tetractl_microscope.survey import _choice_line, _parse_micrometer, _rebase_file_names
+from tetractl_microscope.survey import _format_choice, _parse_micrometer, _rebase_file_names
 
 from tetractl.core.errors import UsageError
 
@@ -13,11 +13,11 @@ def test_a_choice_with_a_cell_near_the_edge_says_so():
     """Regression: the best choice stood at the edge, and only the list of cells said so."""
     cells = [SimpleNamespace(number=3, free=True), SimpleNamespace(number=7, free=False)]
     proposal = SimpleNamespace(numbers=[3, 7], cells=cells, error=41.2)
-    line = _choice_line(proposal, "um")
+    line = _format_choice(proposal, "um")
     assert line.startswith("cells 3, 7: predicted mean total error 41 um;")
     assert line.endswith("because of cells near the edge: 7")
     cells[1].free = True
-    assert _choice_line(proposal, "um") == "cells 3, 7: predicted mean total error 41 um"
+    assert _format_choice(proposal, "um") == "cells 3, 7: predicted mean total error 41 um"
 
 
 def test_a_spec_in_another_folder_names_the_same_files(tmp_path):
@@ -39,7 +39,7 @@ def test_a_choice_without_a_plan_says_so_instead_of_an_error():
     proposal = SimpleNamespace(
         numbers=[3], cells=[SimpleNamespace(number=3, free=True)], error=1e999
     )
-    assert _choice_line(proposal, "um").endswith("error none, as no plan was found")
+    assert _format_choice(proposal, "um").endswith("error none, as no plan was found")
 
 
 def test_files_that_are_not_relative_names_are_kept(tmp_path):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from testkit.labs import fake_lab
 from testkit.paths import EXAMPLES
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.section import choice_of
-from tetractl_microscope.choice.turn_field import JITTER, manoeuvre, turn_field
+from tetractl_microscope.choice.section import require_choice
+from tetractl_microscope.choice.turn_field import JITTER, create_rotating_field, turn_field
 from tetractl_microscope.handedness import watch_turning
 
 from tetractl.core.clock import SECOND, VirtualClock
@@ -23,14 +23,14 @@ from tetractl.spec.plants import select_plant
 
 SPEC = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ("robots.seconds=4",))
 EXPERIMENT = select_plant(SPEC, "lab").experiment
-CHOICE = choice_of(EXPERIMENT)
+CHOICE = require_choice(EXPERIMENT)
 BEGIN_S = 48.0
 """Time of the lab's clock when the field begins to turn."""
 
 
 @given(st.floats(0.5, 20.0), st.integers(0, 2**31))
 def test_the_field_turns_once_in_its_time_in_four_steps_of_unequal_angles(turn_s, seed):
-    direction = manoeuvre(turn_s, seed)
+    direction = create_rotating_field(turn_s, seed)
     middles_s = (np.arange(40) + 0.5) * turn_s / 4
     angles = np.array([direction(round(s * SECOND)) for s in middles_s])
     assert np.abs(angles).max() <= math.pi
@@ -45,9 +45,9 @@ def test_the_field_turns_once_in_its_time_in_four_steps_of_unequal_angles(turn_s
 
 
 def test_each_seed_begins_in_another_direction():
-    begins = [manoeuvre(3.2, seed)(0) for seed in range(50)]
+    begins = [create_rotating_field(3.2, seed)(0) for seed in range(50)]
     assert np.ptp(begins) > 5.0
-    assert manoeuvre(3.2, 7)(5 * SECOND) == manoeuvre(3.2, 7)(5 * SECOND)
+    assert create_rotating_field(3.2, 7)(5 * SECOND) == create_rotating_field(3.2, 7)(5 * SECOND)
 
 
 def together(rules):
@@ -94,7 +94,7 @@ def test_cells_are_returned_after_the_time_of_the_spec_and_the_field_turns_all_t
     assert np.diff(looked_ns).max() < 0.1 * SECOND
     directions = [sent.direction for sent in dish.actuator.sent if sent.direction is not None]
     assert len(set(directions)) == 5  # a whole turn of 3.2 s, and a step
-    field = manoeuvre(CHOICE.turn, 5)
+    field = create_rotating_field(CHOICE.turn, 5)
     assert set(directions) <= {field(round(k * 0.8 * SECOND) + 1) for k in range(80)}
 
 

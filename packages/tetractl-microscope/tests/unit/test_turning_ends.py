@@ -10,7 +10,7 @@ import pytest
 from testkit.labs import FakeCamera, fake_lab
 from testkit.paths import EXAMPLES
 from tetractl_microscope.choice.prepare import prepare
-from tetractl_microscope.choice.section import choice_of
+from tetractl_microscope.choice.section import require_choice
 from tetractl_microscope.handedness import watch_turning
 
 from tetractl.core.clock import SECOND
@@ -81,7 +81,7 @@ def prepare_a_trial(dish):
 def survey(dish):
     """Turn the field to see how cells turn with it, as `lab survey` does."""
     with dish.plant.rig as rig:
-        watch_turning(rig, choice_of(EXPERIMENT), 1, dish.supervision)
+        watch_turning(rig, require_choice(EXPERIMENT), 1, dish.supervision)
 
 
 ENDS = [(cancel, KeyboardInterrupt), (press_the_key, AbortError)]

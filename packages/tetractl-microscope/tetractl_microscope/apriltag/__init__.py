@@ -1,1 +1,1 @@
-"""Measures planar poses of robots from an ordinary camera's images of AprilTags."""
+"""Finds AprilTags in the images of an ordinary camera, and measures the robots' poses."""

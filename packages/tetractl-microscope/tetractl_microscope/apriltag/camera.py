@@ -23,8 +23,8 @@ from tetractl_microscope.apriltag.floor import (
     Plane,
 )
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
-from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
-from tetractl_microscope.pictures.searches import PictureSearch, stated
+from tetractl_microscope.pictures.picture_camera import OpenMemorySource, PictureCamera
+from tetractl_microscope.pictures.searches import PictureSearch, drop_none
 
 SIZE_DEVIATION_MAX = 0.2
 """Maximum relative deviation of a tag's size from the spec.
@@ -42,7 +42,7 @@ _SQUARE_COMPLEX = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The tags found in one image. Poses are in the spec's length unit.
+    """The tags that were found in one image. Poses are in the spec's length unit.
 
     Attributes:
         poses: Pose of each robot. None if it is untracked.
@@ -64,7 +64,7 @@ class Seen:
 
 
 class Tracker:
-    """Finds the robots' and floor tags in images.
+    """Finds the tags of robots and floor in images, and computes the robots' poses.
 
     Args:
         section: The fields of the camera in the spec.
@@ -175,7 +175,7 @@ POSITION_ERROR_MAX_MM = 3.0
 
 
 Finding = tuple[bool, str]
-"""Whether a finding is a problem (True) or a warning (False), and its text."""
+"""A finding of a check: whether it is a problem (True) or a warning (False), and its text."""
 
 
 def _check_tags(
@@ -208,9 +208,9 @@ def _check_tags(
     if plane is not None:
         yield from _check_calibration(section, plane)
     camera_height_mm = plane.camera_height_mm if plane is not None else math.inf
-    sides_px = stated(search.result.side_px for search in searches)
+    sides_px = drop_none(search.result.side_px for search in searches)
     for i, robot in enumerate(tracker.robots):
-        sizes = stated(search.result.sizes[i] for search in searches)
+        sizes = drop_none(search.result.sizes[i] for search in searches)
         if robot.tag in repeated_tags:
             yield (
                 True,
@@ -280,7 +280,7 @@ def _join_numbers(numbers: Sequence[int]) -> str:
 
 
 class AprilTagCamera(PictureCamera[Seen]):
-    """Tracks N robots by their tags; see `tetractl.core.protocols.Camera`.
+    """A camera that tracks N robots by their AprilTags; see `tetractl.core.protocols.Camera`.
 
     A robot is untracked while its tag is not seen, is seen twice, or has the wrong size. No robot
     is tracked before the floor tags have calibrated the camera.
@@ -299,7 +299,7 @@ class AprilTagCamera(PictureCamera[Seen]):
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        join: Join | None = None,
+        join: OpenMemorySource | None = None,
     ) -> None:
         super().__init__(section, clock, wake, join)
         self.section = section
@@ -314,8 +314,8 @@ class AprilTagCamera(PictureCamera[Seen]):
         plane = floor.plane or floor.misfit
         for is_problem, message in _check_tags(section, self._tracker, searches):
             (problems if is_problem else warnings).append(message)
-        blurs = stated(search.result.blur for search in searches)
-        sides = stated(search.result.side_px for search in searches)
+        blurs = drop_none(search.result.blur for search in searches)
+        sides = drop_none(search.result.side_px for search in searches)
         if blurs and statistics.median(blurs) > BLUR_MAX:
             warnings.append(
                 f"tags look too small or blurred, the smallest is {min(sides):.0f} px wide: "

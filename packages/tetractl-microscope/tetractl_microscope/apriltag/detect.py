@@ -22,7 +22,7 @@ TAG_ZERO_BITS = (
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """One tag in an image.
+    """An AprilTag that was found in an image.
 
     Attributes:
         tag: Number of the tag.
@@ -84,7 +84,7 @@ class Detector:
 
 
 def tag_picture(number: int) -> GreyImage:
-    """Draw a tag as printed by the AprilTag project.
+    """Draw a tag as the AprilTag project prints it.
 
     Returns:
         One pixel per module, shape (8, 8), 0 or 255.
@@ -96,7 +96,7 @@ def tag_picture(number: int) -> GreyImage:
 
 
 def _top_left_corner(detector: cv2.aruco.ArucoDetector) -> int:
-    """Find which of the corners that OpenCV reports is the top left one of a printed tag.
+    """Find which corner that OpenCV reports is the top left corner of a printed tag.
 
     OpenCV's dictionary is rotated against the AprilTag project's pictures, by an angle that depends
     on the release. A picture of tag 0 shows the angle.
@@ -134,7 +134,7 @@ EPSILON = 1e-9
 def refine_corners(
     picture: NDArray[np.uint8], corners: Floats, modules: int
 ) -> tuple[Floats, Floats]:
-    """Refine the corners of T tags.
+    """Refine the corners of T tags in an image to fractions of a pixel.
 
     Args:
         picture: The image.

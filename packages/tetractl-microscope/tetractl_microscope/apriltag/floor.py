@@ -33,7 +33,7 @@ MISFIT_TOLERANCE_PX = (
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """A calibrated camera over the floor.
+    """A calibrated camera over the floor, which converts pixels to positions.
 
     Attributes:
         matrix: The camera matrix K, shape (3, 3).
@@ -118,7 +118,7 @@ class Plane:
         return float(offset[2]), float(tilt)
 
 
-def floor_corners(tag: FloorTag, metres: float) -> Floats:
+def compute_floor_corners(tag: FloorTag, metres: float) -> Floats:
     """Compute the corners of a floor tag in the spec's axes, shape (4, 2) [m].
 
     `metres` is the length of the spec's unit [m].
@@ -129,7 +129,7 @@ def floor_corners(tag: FloorTag, metres: float) -> Floats:
     return tag.size_mm * MILLIMETRE_M * rotated + metres * np.array(tag.at)
 
 
-def calibrate(
+def calibrate_camera(
     pixels: Floats,
     positions_m: Floats,
     size: tuple[int, int],
@@ -150,11 +150,13 @@ def calibrate(
     centre_px = ((size[0] - 1) / 2, (size[1] - 1) / 2)
     lens_error_mm = 0.0
     if lens is not None:
-        matrix = _camera_matrix(lens.focal_px, lens.centre or centre_px)
+        matrix = _create_camera_matrix(lens.focal_px, lens.centre or centre_px)
         plane = _find_pose(matrix, np.array(lens.distortion, float), points, floor_points)
     else:
         scaled_lens, deviations = _fit_lens(points, floor_points, size[0], centre_px)
-        plane = _find_pose(*_scaled_to_lens(scaled_lens, size[0], centre_px), points, floor_points)
+        plane = _find_pose(
+            *_convert_scaled_lens(scaled_lens, size[0], centre_px), points, floor_points
+        )
         centres = pixels.mean(axis=1)
         # points between the tags, where robots may be
         middles = (centres[:, None] + centres[None]) / 2
@@ -162,7 +164,7 @@ def calibrate(
         for deviation in deviations:
             # a lens that is wrong by two standard deviations
             wrong_plane = _find_pose(
-                *_scaled_to_lens(scaled_lens + 2.0 * deviation, size[0], centre_px),
+                *_convert_scaled_lens(scaled_lens + 2.0 * deviation, size[0], centre_px),
                 points,
                 floor_points,
             )
@@ -175,15 +177,15 @@ def calibrate(
     )
 
 
-def _camera_matrix(focal: float, centre: Sequence[float]) -> Floats:
+def _create_camera_matrix(focal: float, centre: Sequence[float]) -> Floats:
     """Return the camera matrix K for a focal length and a principal point [px]."""
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
 
 
-def _scaled_to_lens(
+def _convert_scaled_lens(
     scaled_lens: Floats, width: int, centre_px: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Compute the camera matrix K and the distortion of a lens.
+    """Convert the scaled parameters of a lens to its camera matrix K and its distortion.
 
     Args:
         scaled_lens: log(f / width) and k1, each divided by the standard deviation of its prior,
@@ -194,7 +196,7 @@ def _scaled_to_lens(
     # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
     focal = width * math.exp(0.35 * scaled_lens[0])
     k1 = 0.15 * scaled_lens[1]
-    return _camera_matrix(focal, centre_px), np.array([k1, 0.0, 0.0, 0.0])
+    return _create_camera_matrix(focal, centre_px), np.array([k1, 0.0, 0.0, 0.0])
 
 
 def _find_pose(matrix: Floats, distortion: Floats, points: Floats, floor_points: Floats) -> Plane:
@@ -230,7 +232,9 @@ def _fit_lens(
         by the standard deviations of the priors. Each row of the second array is one standard
         deviation along an axis of the error ellipse.
     """
-    start_plane = _find_pose(*_scaled_to_lens(np.zeros(2), width, centre_px), points, floor_points)
+    start_plane = _find_pose(
+        *_convert_scaled_lens(np.zeros(2), width, centre_px), points, floor_points
+    )
     rotation_vector, _ = cv2.Rodrigues(start_plane.rotation)
 
     def residuals(pose_and_lens: Floats) -> Floats:
@@ -242,7 +246,7 @@ def _fit_lens(
             _add_zero_height(floor_points),
             pose_and_lens[:3],
             pose_and_lens[3:6],
-            *_scaled_to_lens(pose_and_lens[6:], width, centre_px),
+            *_convert_scaled_lens(pose_and_lens[6:], width, centre_px),
         )
         return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, pose_and_lens[6:])
 
@@ -263,7 +267,7 @@ MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in th
 
 
 class Floor:
-    """Keeps the camera calibrated by the floor tags.
+    """Keeps a camera calibrated by the floor tags that it sees.
 
     Corners are averaged over up to `IMAGES_AVERAGED_MAX` images, since neither camera nor floor
     tags move. If a corner moves by more than `MOVED_PX`, the calibration is discarded until an
@@ -283,14 +287,14 @@ class Floor:
         self.plane: Plane | None = None
         self.misfit: Plane | None = None
         self._numbers = [tag.tag for tag in tags]
-        self._positions_m = np.array([floor_corners(tag, metres) for tag in tags])
+        self._positions_m = np.array([compute_floor_corners(tag, metres) for tag in tags])
         self._lens = lens
         self._height_max_m = height_max_mm * MILLIMETRE_M
         self._mean_corners: Floats | None = None  # averaged corners (F, 4, 2) [px]
         self._image_count = 0
 
     def update(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
-        """Use the floor tags that are seen exactly once in an image.
+        """Update the calibration with the floor tags of an image that are seen exactly once.
 
         Args:
             corners: The tags' corners (4, 2) [px], by tag number.
@@ -313,7 +317,7 @@ class Floor:
             self._image_count, IMAGES_AVERAGED_MAX
         )
         if self._image_count % IMAGES_AVERAGED_MAX == 0 or self._image_count.bit_count() == 1:
-            plane = calibrate(
+            plane = calibrate_camera(
                 self._mean_corners, self._positions_m, size, self._lens, self._height_max_m
             )
             is_accurate = plane.error_max_mm <= MISFIT_MM

@@ -1,4 +1,4 @@
-"""The `apriltag` camera's section of a spec.
+"""The section of a spec for the `apriltag` camera: its tags, their positions and the lens.
 
 Lengths whose name ends in `_mm` are millimetres, whatever the spec's length unit; times are
 seconds. OpenCV is imported only if the camera is built.
@@ -29,14 +29,14 @@ Tag = Annotated[int, Field(ge=0, lt=587)]
 
 
 class Lens(Model):
-    """A calibrated lens, for pictures of the size that the source delivers."""
+    """A calibrated lens, for images of the size that the source delivers."""
 
     focal_px: Positive
     """Focal length of the lens, in pixels of the source's images [px]."""
     centre: Point | None = None
-    """Principal point, column and row [px]; the middle of the picture by default."""
+    """Principal point: column and row [px]. By default, the middle of the image."""
     distortion: tuple[Finite, ...] = ()
-    """OpenCV's distortion coefficients: k1, k2, p1, p2 and, optionally, k3; none by default."""
+    """OpenCV's distortion coefficients: k1, k2, p1, p2 and, optionally, k3. None by default."""
 
     @model_validator(mode="after")
     def _known_model(self) -> Self:
@@ -48,7 +48,7 @@ class Lens(Model):
 
 
 class RobotTag(RobotPart):
-    """The tag on a robot; its centre is the robot's position."""
+    """The tag on a robot. Its centre is the robot's position."""
 
     tag: Tag
     """Number of the robot's tag."""
@@ -85,9 +85,9 @@ class AprilTagSection(PictureSection):
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with its tag."""
     floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
-    """Tags around the arena that define the floor; one picture must show all of them."""
+    """Tags around the arena that define the floor. One image must show all of them."""
     lens: Lens | None = None
-    """The calibrated lens; by default the floor tags give focal length and distortion."""
+    """The calibrated lens. By default, the floor tags give focal length and distortion."""
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:

@@ -1,1 +1,1 @@
-"""Measures planar poses of cells from the images of a microscope."""
+"""Finds and tracks swimming cells in the images of a microscope, and measures their poses."""

@@ -17,7 +17,12 @@ from tetractl.spec.lab_section import LabLimits
 from tetractl.tools.worker import take_all
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
-from tetractl_microscope.cells.cells_health import SeenDish, cell_count, find_problems, sharpness
+from tetractl_microscope.cells.cells_health import (
+    SeenDish,
+    count_cells,
+    find_problems,
+    measure_sharpness,
+)
 from tetractl_microscope.cells.field_record import FieldSignals
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_REACH_UM, Piece
 from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
@@ -26,12 +31,12 @@ from tetractl_microscope.cells.robot_cells import RobotCell, RobotCells
 from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.organisms import named
-from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
+from tetractl_microscope.organisms import find_organism
+from tetractl_microscope.pictures.picture_camera import OpenMemorySource, PictureCamera
 from tetractl_microscope.pictures.searches import PictureSearch
 from tetractl_microscope.pictures.whole_pictures import PictureLog
 
-LEARNING_PARTS = 15  # number of parts of the learning time: one image of each part is used
+N_LEARNING_PARTS = 15  # number of parts of the learning time: one image of each part is used
 LEARNING_PICTURES_MIN = 7  # minimum number of images for learning, if images arrive slowly
 # Ratio of the errors in rendered films to the filter's standard deviations. The filter does not fit
 # the noise of a cell.
@@ -44,7 +49,7 @@ NO_CELL = -1  # number of a robot's cell before all robots were seen in one pict
 
 @dataclass(frozen=True, slots=True)
 class FirstSight:
-    """The moment at which a track came into view.
+    """The moment at which a tracked cell came into view.
 
     Attributes:
         seconds: Time of the image that first showed the track [s].
@@ -57,7 +62,7 @@ class FirstSight:
 
 @dataclass(frozen=True, slots=True)
 class CellsInView:
-    """The cells of the newest image.
+    """The cells that were tracked in the newest image.
 
     The searching thread replaces this object as a whole, because another thread reads it.
 
@@ -76,7 +81,7 @@ class CellsInView:
     def followed_by(
         self, cells: Sequence[SeenCell], now_s: float, shift_um: tuple[float, float]
     ) -> "CellsInView":
-        """Return the view of the next image.
+        """Create the view of the next image, which keeps since when each cell is in view.
 
         Args:
             cells: The cells in that image.
@@ -112,9 +117,9 @@ class CellsInView:
 
 
 class LearningPictures:
-    """The images of the first `learning_s` [s], from which the background is computed.
+    """Collects images over the first `learning_s` [s], from which the background is computed.
 
-    All have the same shape, because the base class refuses others.
+    All images have the same shape, because the base class refuses others.
     """
 
     def __init__(self, learning_s: float) -> None:
@@ -123,16 +128,16 @@ class LearningPictures:
         self._first_ns: int | None = None
 
     def add(self, picture: GreyImage, exposed_ns: int) -> list[GreyImage]:
-        """Add an image, if one is due.
+        """Add an image to the images for the background, if another image is due.
 
         Returns:
-            All images, once there are enough of them to learn the background. Empty until then.
+            All collected images, once there are enough to learn the background. Empty until then.
         """
         if self._first_ns is None:
             self._first_ns = exposed_ns
         passed_s = (exposed_ns - self._first_ns) / SECOND
         pictures = self._pictures
-        is_due = passed_s >= len(pictures) * self._learning_s / LEARNING_PARTS
+        is_due = passed_s >= len(pictures) * self._learning_s / N_LEARNING_PARTS
         if is_due:
             pictures = [*pictures, picture]
         is_enough = passed_s >= self._learning_s and len(pictures) >= LEARNING_PICTURES_MIN
@@ -170,7 +175,7 @@ class PictureReports:
 
 
 class CellCamera(PictureCamera[SeenDish]):
-    """Tracks N cells; a `Camera`.
+    """A camera that tracks swimming cells in the images of a microscope; see `Camera`.
 
     Once at least as many cells are in view as the spec has robots, the cells nearest to the starts
     become the robots. A cell that is lost, after half a second without a blob, is an unknown object
@@ -195,7 +200,7 @@ class CellCamera(PictureCamera[SeenDish]):
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        join: Join | None = None,
+        join: OpenMemorySource | None = None,
     ) -> None:
         super().__init__(section, clock, wake, join)
         self.section = section
@@ -207,7 +212,7 @@ class CellCamera(PictureCamera[SeenDish]):
             section.um_px,
             field_known=True,
             near_wall=self._near_wall,
-            organism=named(section.organism),
+            organism=find_organism(section.organism),
         )
         self._learning = LearningPictures(section.learning)
         self._robots = RobotCells(setup)
@@ -231,10 +236,10 @@ class CellCamera(PictureCamera[SeenDish]):
         the arena's edge are not `free`.
         """
         view = self._view
-        sure = [
+        identified_cells = [
             cell for cell in view.cells if cell.has_blob and cell.probability >= KNOWN_PROBABILITY
         ]
-        return [self._candidate(cell, view) for cell in sure]
+        return [self._candidate(cell, view) for cell in identified_cells]
 
     def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
         """Convert a cell in view to a candidate, in the spec's coordinates and length unit.
@@ -315,7 +320,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _health(self, searches: Sequence[PictureSearch[SeenDish]]) -> Health:
         """Describe problems and warnings about light, focus and cells, and facts for the log."""
-        width_px = named(self.section.organism).body_um[1] / self.section.um_px
+        width_px = find_organism(self.section.organism).body_um[1] / self.section.um_px
         problems, warnings = find_problems(self._robots.setup.names, searches, width_px)
         facts = {
             "scale": f"{self.section.um_px:g} um/px",
@@ -323,7 +328,7 @@ class CellCamera(PictureCamera[SeenDish]):
             "opencv": cv2.__version__,
         }
         if searches:
-            facts["cells"] = str(cell_count(searches))
+            facts["cells"] = str(count_cells(searches))
         return Health(tuple(problems), tuple(warnings), facts)
 
     def _see(self, picture: GreyImage, exposed_ns: int) -> SeenDish | None:
@@ -356,11 +361,11 @@ class CellCamera(PictureCamera[SeenDish]):
             robots=robots,
             poses=tuple(None if cell is None else self._pose_of(cell, view) for cell in tracked),
             unknown_objects=tuple(
-                self._pose_of(c, view) for c in cells if c.identity not in numbers
+                self._pose_of(cell, view) for cell in cells if cell.identity not in numbers
             ),
             light=finder.light,
             level=float(np.median(picture[::LEVEL_STEP, ::LEVEL_STEP])),
-            sharpness=sharpness(picture, cells, self.section.um_px, finder.light.contrast),
+            sharpness=measure_sharpness(picture, cells, self.section.um_px, finder.light.contrast),
             certainty_min=min(
                 (cell.probability for cell in tracked if cell is not None), default=0.0
             ),
@@ -415,8 +420,8 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
         """Find the positions in the image (R,) [um] that are within WALL_REACH_UM of a wall."""
-        to_edge = self._arena.depth_inside(*self._to_spec(view, x, y))
-        return to_edge < WALL_REACH_UM * 1e-6 / self._metres
+        edge_distances = self._arena.depth_inside(*self._to_spec(view, x, y))
+        return edge_distances < WALL_REACH_UM * 1e-6 / self._metres
 
     def _field(self, start_s: float, end_s: float) -> Sequence[Piece]:
         """Return the field between two times [s] in the image's axes, from the directions sent.

@@ -105,7 +105,7 @@ class SeenCell:
         centre = self.blob_um[:2]
         offset = np.array((self.x, self.y)) - centre
         relative_distance = float(
-            relative_to_edge(offset, *np.nan_to_num(self.blob_um[2:], nan=POINT_UM))
+            compute_distances_to_edge(offset, *np.nan_to_num(self.blob_um[2:], nan=POINT_UM))
         )
         if relative_distance <= 1.0:
             return self
@@ -113,7 +113,9 @@ class SeenCell:
         return replace(self, x=x, y=y)
 
 
-def relative_to_edge(offsets: Floats, axes: Floats, lengths: Floats, widths: Floats) -> Floats:
+def compute_distances_to_edge(
+    offsets: Floats, axes: Floats, lengths: Floats, widths: Floats
+) -> Floats:
     """Compute the distances of points from the centres of ellipses, relative to the edges.
 
     Args:

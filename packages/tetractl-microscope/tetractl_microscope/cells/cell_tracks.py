@@ -117,7 +117,7 @@ class CellTrack:
 
     @property
     def rows(self) -> Sequence[int]:
-        """The rows of the filter that follow the track.
+        """The rows of the Kalman filter that follow the track.
 
         While its identity is an open question, there is one row for each cell that it may be.
         """
@@ -136,7 +136,7 @@ class CellTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """A track in a meeting, and the cell that was on it when it joined.
+    """A track in a meeting, and the cell that was on the track when it joined the meeting.
 
     Attributes:
         track: The track.
@@ -172,7 +172,7 @@ class Meeting:
 
     @property
     def rows(self) -> list[int]:
-        """The rows of the filter that predict the members' cells."""
+        """The rows of the Kalman filter that predict the cells of the members."""
         return [member.row for member in self.members]
 
 
@@ -203,7 +203,7 @@ class IdentityQuestion:
 
     def __post_init__(self) -> None:
         self.log_likelihoods = np.zeros(self.rows.shape)
-        self.assignments = all_assignments(len(self.members))
+        self.assignments = list_assignments(len(self.members))
         self._n_sizes = np.zeros(len(self.members), int)
 
     @property
@@ -218,7 +218,7 @@ class IdentityQuestion:
         size: Sequence[float] | None,
         seconds: float,
     ) -> None:
-        """Add a measurement of a track from one image.
+        """Use a measurement of a track in one image as evidence for which cell is on it.
 
         The likelihood counts only after SETTLED_S, when the filter rows have settled on the track.
         The measurements before are part of the prior.
@@ -244,13 +244,14 @@ class IdentityQuestion:
             self.log_likelihoods[i] += size_likelihoods / SIZE_IMAGES
 
     def probabilities(self) -> Floats:
-        """Compute the probability of each assignment in `assignments`, shape (P,)."""
-        return to_probabilities(
-            self.log_prior + log_assignment_probabilities(self.assignments, self.log_likelihoods)
+        """Compute the probability of each assignment of cells to tracks, shape (P,)."""
+        return normalise_log_probabilities(
+            self.log_prior
+            + compute_log_assignment_probabilities(self.assignments, self.log_likelihoods)
         )
 
     def best_assignment(self) -> tuple[tuple[int, ...], Floats]:
-        """Find the most probable assignment.
+        """Find the most probable assignment of cells to tracks.
 
         Returns:
             The index of the cell on each track, and for each track the probability that this cell
@@ -264,7 +265,7 @@ class IdentityQuestion:
         )
 
     def is_decided(self, now_s: float) -> bool:
-        """Check whether the question can be closed at a time [s].
+        """Check whether the question of which cell is which can be closed at a time [s].
 
         The question is decided if its best answer is certain enough after OPEN_MIN_S, and in any
         case after OPEN_MAX_S.
@@ -275,8 +276,8 @@ class IdentityQuestion:
         )
 
 
-def all_assignments(n_tracks: int) -> np.ndarray:
-    """Return all assignments of n cells to n tracks, shape (n!, n).
+def list_assignments(n_tracks: int) -> np.ndarray:
+    """List all assignments of n cells to n tracks, shape (n!, n).
 
     Column i contains the index of the cell that track i shows.
     """
@@ -284,8 +285,8 @@ def all_assignments(n_tracks: int) -> np.ndarray:
     return np.array(permuted, int).reshape(-1, n_tracks)
 
 
-def log_assignment_probabilities(assignments: np.ndarray, log_table: Floats) -> Floats:
-    """Compute the log-probability of each assignment, up to a constant.
+def compute_log_assignment_probabilities(assignments: np.ndarray, log_table: Floats) -> Floats:
+    """Compute the log-probability of each assignment of cells to tracks, up to a constant.
 
     Args:
         assignments: The assignments, shape (P, K).
@@ -297,13 +298,13 @@ def log_assignment_probabilities(assignments: np.ndarray, log_table: Floats) -> 
     return log_table[np.arange(len(log_table)), assignments].sum(axis=1)
 
 
-def to_probabilities(log_probabilities: Floats) -> Floats:
+def normalise_log_probabilities(log_probabilities: Floats) -> Floats:
     """Convert log-probabilities, known up to a constant, to probabilities that add up to 1."""
     probabilities = np.exp(log_probabilities - log_probabilities.max())
     return probabilities / probabilities.sum()
 
 
-def log_densities(
+def compute_log_densities(
     cell_filter: HelixFilter, rows: Sequence[int], places: Floats, sd_um: Floats, log_unknown: float
 ) -> Floats:
     """Compute the log-density of cells at given places [1/um^2], shape (K, M).

@@ -1,4 +1,4 @@
-"""Watches the robots of a trial in a dish, for the lab's plant.
+"""Watches whether it is still known which cells in a dish are the robots of a trial.
 
 It decides which cells count as lost although they may be in view, and which other cell is steered
 instead of a lost one.
@@ -19,7 +19,7 @@ from tetractl_microscope.choice.dish_abilities import TracksCells
 
 @dataclass(frozen=True, slots=True)
 class Identities:
-    """How certainly each robot's cell in an image is still the same cell.
+    """The certainty, for one image, that each robot's cell is still the same cell.
 
     Attributes:
         exposed_ns: When the image was exposed [ns].
@@ -49,7 +49,7 @@ class CellWatch:
         self._identities = IdentityWatch(setup.names, patience_s)
 
     def see(self, sampled_ns: int) -> Iterator[Note]:
-        """Process a frame that the guard has accepted.
+        """Check the robots' identities in a camera frame that the guard has accepted.
 
         Args:
             sampled_ns: When the frame was exposed [ns].

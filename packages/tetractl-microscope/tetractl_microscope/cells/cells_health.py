@@ -1,4 +1,4 @@
-"""Checks a microscope's images of cells: problems and warnings. No I/O."""
+"""Checks a microscope's images of cells for problems with light, focus and cells. No I/O."""
 
 import statistics
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
 from tetractl_microscope.cells.robot_cells import RobotCells
-from tetractl_microscope.pictures.searches import PictureSearch, stated
+from tetractl_microscope.pictures.searches import PictureSearch, drop_none
 
 DARK_LEVEL = 12.0  # median grey level at which a picture is too dark
 SATURATED_LEVEL = 245.0  # median grey level at which an image is too bright
@@ -31,7 +31,7 @@ WIDTH_MIN_PX = 8.0  # minimum width of a cell in an image without a warning
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """The results of the search of one image.
+    """The result of searching one image for cells.
 
     Attributes:
         robots: The cells that were the robots at that time.
@@ -52,10 +52,10 @@ class SeenDish:
     certainty_min: float
 
 
-def sharpness(
+def measure_sharpness(
     picture: GreyImage, cells: Sequence[SeenCell], um_px: float, contrast: float | None
 ) -> float | None:
-    """Compute the sharpness of an image from the edges of its cells [1/px].
+    """Measure the sharpness of an image at the edges of its cells [1/px].
 
     It is the median, over the first cells, of the steepest slope of grey levels in any direction,
     divided by the cells' contrast.
@@ -88,7 +88,7 @@ def sharpness(
 def find_problems(
     names: Sequence[str], searches: Sequence[PictureSearch[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
-    """Find problems and warnings about light, focus and cells in the last images.
+    """Find problems and warnings about light, focus and cells in a camera's newest images.
 
     Args:
         names: Names of the robots.
@@ -120,7 +120,7 @@ def find_problems(
     untracked = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
     if untracked:
         problems.append(
-            f"{', '.join(untracked)} not tracked: {cell_count(searches)} cells are in view, but "
+            f"{', '.join(untracked)} not tracked: {count_cells(searches)} cells are in view, but "
             f"{len(names)} are needed"
         )
     elif newest.certainty_min < KNOWN_PROBABILITY:
@@ -128,12 +128,12 @@ def find_problems(
             "cells have met, and it is uncertain which cell is which: let the field turn a few "
             "times"
         )
-    contrasts = stated(search.result.light.contrast for search in searches)
+    contrasts = drop_none(search.result.light.contrast for search in searches)
     contrast = statistics.median(contrasts) if contrasts else None
     faint_warning = describe_faint_cells(contrast, newest.light.contrast_min)
     if faint_warning is not None and not newest.light.lost:
         warnings.append(faint_warning)
-    sharpnesses = stated(search.result.sharpness for search in searches)
+    sharpnesses = drop_none(search.result.sharpness for search in searches)
     if sharpnesses and statistics.median(sharpnesses) < SHARPNESS_MIN:
         warnings.append(
             "the outlines of the cells are blurred: focus the microscope, or shorten the exposure"
@@ -170,8 +170,8 @@ def describe_faint_cells(contrast: float | None, contrast_min: float) -> str | N
     return f"{problem}: use more light, a smaller aperture or phase contrast"
 
 
-def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:
-    """Return the median number of cells in view over one or more images, as a whole number.
+def count_cells(searches: Sequence[PictureSearch[SeenDish]]) -> int:
+    """Compute the median number of cells in view over one or more images, as a whole number.
 
     Cells of robots that are not tracked are not counted.
     """

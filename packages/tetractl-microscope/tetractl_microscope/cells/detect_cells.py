@@ -1,9 +1,13 @@
-"""Finds blobs in a grey image: regions that differ from a slowly updated background.
+"""Finds cells in a grey image as blobs: regions that differ from a slowly updated background.
 
-The steps are: blur the image; subtract the background, scaled to the brightness of the image;
-average the absolute difference over a square as small as the smallest cell, so that a body and its
-halo become one region; keep the pixels that exceed the noise of these averages; compute the moments
-of each body.
+The steps are:
+
+1. Blur the image.
+2. Subtract the background, scaled to the brightness of the image.
+3. Average the absolute difference over a square as small as the smallest cell, so that a body and
+   its halo become one region.
+4. Keep the pixels that exceed the noise of these averages.
+5. Compute the moments of each body.
 """
 
 import math
@@ -24,24 +28,24 @@ LEARNING_RATE = 0.1
 """Weight of an image in the background: a time constant of 5 s at 30 images per second."""
 SAMPLED_ROWS = 64
 """Number of rows from which light and noise are estimated. A small image has fewer."""
-ROWS_PX = 300_000
+MEDIAN_PIXELS_MAX = 300_000
 """Maximum number of pixels of each image that the median processes at once."""
-SQUARE_SIDE = 1.2
+SQUARE_SIDE_RATIO = 1.2
 """Side of the averaging square, relative to a square with the minimum area of a cell."""
-LOW_STDS = 3.0
-"""Threshold for every pixel of a body, in standard deviations of the averaged differences."""
-HIGH_STDS = 4.5
-"""Threshold for the peak of a body, in standard deviations of the averaged differences."""
+PIXEL_THRESHOLD_STDS = 3.0
+"""Minimum difference of every pixel of a body, in standard deviations of averaged differences."""
+PEAK_THRESHOLD_STDS = 4.5
+"""Minimum peak difference of a body, in standard deviations of the averaged differences."""
 NOISE_STD_MIN = 0.33
 """Minimum standard deviation of the averaged differences, because images have whole grey levels."""
 NOISE_GROWTH_MAX = 4.0
-"""Ratio of the noise to the noise after learning, above which the background is invalid."""
+"""Maximum ratio of the noise to the noise after learning. Above it, the background is invalid."""
 NOISE_MAX = 20.0
 """Maximum noise of an image of a dish [grey levels]."""
 BLOBS_MAX = 200
-"""Maximum number of blobs in an image. The smallest ones are dropped."""
+"""Maximum number of blobs in an image. The smallest blobs are dropped."""
 CHANGED_FRACTION_MAX = 0.25
-"""Fraction of changed pixels above which the background is invalid."""
+"""Maximum fraction of changed pixels. Above it, the background is invalid."""
 EDGE_FRACTION = 0.5
 """Averaged difference at the edge of a body, as a fraction of the body's peak."""
 GHOST_RATIO = 2.0
@@ -53,12 +57,12 @@ against the surroundings of the body.
 WEIGHT_RAMP = 0.2, 0.6
 """Differences between which the weight of a pixel rises, as fractions of the body's peak."""
 BODIES_MAX = 4
-"""Maximum number of bodies in a region."""
+"""Maximum number of cell bodies that are searched in one region."""
 NEXT_PEAK_FRACTION = 0.5
 """Minimum peak of a further body in a region, as a fraction of the largest peak."""
-KNOCK_CHANGE = 1.1, 0.0003
-"""Factor on the usual changed fraction, and a term added to it. A larger change may be a knock."""
-USUAL_WEIGHT = 0.05
+KNOCK_CHANGE_LIMIT = 1.1, 0.0003
+"""Maximum fraction of changed pixels without a knock: a factor on its usual value, and a term."""
+USUAL_CHANGE_WEIGHT = 0.05
 """Weight of an image in the mean changed fraction: a time constant of 20 images. Chosen by hand."""
 GAIN_MIN = 0.05
 """Minimum brightness relative to the background at which an image is scaled; see GAIN_MAX."""
@@ -85,9 +89,9 @@ class Blob:
     """A region of an image that differs from the background.
 
     Attributes:
-        x: x of its centre [px].
-        y: y of its centre [px].
-        axis: Its direction [rad], modulo pi.
+        x: Column of the centre [px].
+        y: Row of the centre [px].
+        axis: Direction of the long axis [rad], modulo pi.
         length: Long axis of the ellipse with the same moments [px].
         width: Short axis of that ellipse [px].
         strength: Mean difference from the background [grey levels].
@@ -121,7 +125,7 @@ class Blob:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Brightness, noise and contrast of an image.
+    """The light conditions of an image: its brightness, noise and contrast.
 
     Attributes:
         gain: Brightness of the image, relative to the background.
@@ -169,7 +173,7 @@ class Background:
         self.grey = _to_grey(cv2.convertScaleAbs(self.fine))
 
     def follow_knock(self, smooth: GreyImage, gain: float) -> tuple[float, float]:
-        """Shift the background as far as an image has shifted.
+        """Find how far the image has shifted after a knock, and shift the background as far.
 
         Args:
             smooth: The blurred image.
@@ -196,17 +200,17 @@ class Background:
         self.fine[rectangle][is_wrong] = levels[is_wrong]
         self.grey[rectangle][is_wrong] = np.clip(self.fine[rectangle][is_wrong], 0, 255)
 
-    def update(self, rows: slice, levels: NDArray[np.float32], calm: GreyImage) -> None:
+    def update(self, rows: slice, levels: NDArray[np.float32], update_mask: GreyImage) -> None:
         """Update rows of the background by a weighted mean with new grey levels.
 
         Args:
             rows: The rows.
             levels: The new grey levels.
-            calm: Mask of the pixels to update.
+            update_mask: Mask of the pixels to update.
         """
-        fine = self.fine[rows]
-        cv2.accumulateWeighted(levels, fine, LEARNING_RATE, calm)
-        self.grey[rows] = cv2.convertScaleAbs(fine)
+        background_rows = self.fine[rows]
+        cv2.accumulateWeighted(levels, background_rows, LEARNING_RATE, update_mask)
+        self.grey[rows] = cv2.convertScaleAbs(background_rows)
 
 
 class SearchLimits(NamedTuple):
@@ -227,7 +231,9 @@ class SearchLimits(NamedTuple):
     @property
     def level(self) -> float:
         """The mean of the averaged differences where there is no body [grey levels]."""
-        return self.pixel_min - (self.peak_min - self.pixel_min) * LOW_STDS / (HIGH_STDS - LOW_STDS)
+        return self.pixel_min - (self.peak_min - self.pixel_min) * PIXEL_THRESHOLD_STDS / (
+            PEAK_THRESHOLD_STDS - PIXEL_THRESHOLD_STDS
+        )
 
 
 NO_BODY = SearchLimits(pixel_min=math.inf, peak_min=math.inf, area_min_px2=0.0, area_max_px2=0.0)
@@ -235,7 +241,7 @@ NO_BODY = SearchLimits(pixel_min=math.inf, peak_min=math.inf, area_min_px2=0.0, 
 
 
 class SearchArrays:
-    """Working arrays for the newest image, all of the image's shape.
+    """Arrays for the search of the newest image, all of the image's shape.
 
     Attributes:
         limits: The limits of the search.
@@ -280,7 +286,7 @@ class LostPictures:
 
 
 class BlobFinder:
-    """Finds blobs that are brighter or darker than the background.
+    """Finds blobs, such as cells, that are brighter or darker than the background of images.
 
     A blob covers `area_min_px2` to `area_max_px2` pixels after differences were averaged over
     squares slightly larger than the minimum. `learn` computes the background from images taken over
@@ -360,14 +366,15 @@ class BlobFinder:
         shift_px = (0.0, 0.0)
         if (
             usual is None
-            or light.changed_fraction > KNOCK_CHANGE[0] * usual.changed_fraction + KNOCK_CHANGE[1]
+            or light.changed_fraction
+            > KNOCK_CHANGE_LIMIT[0] * usual.changed_fraction + KNOCK_CHANGE_LIMIT[1]
         ):
             shift_px = background.follow_knock(newest.smooth, light.gain)
             if shift_px != (0.0, 0.0):
                 light = self._compare_with_background(background, newest)
             usual_fraction = light.changed_fraction
         else:
-            usual_fraction = usual.changed_fraction + USUAL_WEIGHT * (
+            usual_fraction = usual.changed_fraction + USUAL_CHANGE_WEIGHT * (
                 light.changed_fraction - usual.changed_fraction
             )
         first_noise = light.noise if usual is None else usual.noise
@@ -390,7 +397,7 @@ class BlobFinder:
         return blobs
 
     def _compare_with_background(self, background: Background, newest: SearchArrays) -> Light:
-        """Compare the newest image with the background.
+        """Compare the newest image with the background, and measure its brightness and noise.
 
         The difference, its limits, its averages and the mask are stored in `newest`.
 
@@ -406,7 +413,7 @@ class BlobFinder:
         # medians, and averages of what is near them: cells and debris do not count
         deviations = np.abs(levels - gain * background_levels)
         noise = min(NORMAL_MAD * float(np.median(deviations)), NOISE_MAX)
-        square_px = _averaging_square(self.area_min_px2).shape
+        square_px = _create_averaging_square(self.area_min_px2).shape
         border = cv2.BORDER_CONSTANT
         cv2.boxFilter(newest.difference, cv2.CV_32F, square_px, newest.averages, borderType=border)
         sample = _sample_pixels(newest.averages)
@@ -415,8 +422,8 @@ class BlobFinder:
         usual_averages = sample[is_usual].astype(float)
         mean_level = min(float(usual_averages.mean()), NOISE_MAX)
         noise_std = max(float(usual_averages.std()), NOISE_STD_MIN)
-        pixel_min = mean_level + LOW_STDS * noise_std
-        peak_min = mean_level + HIGH_STDS * noise_std
+        pixel_min = mean_level + PIXEL_THRESHOLD_STDS * noise_std
+        peak_min = mean_level + PEAK_THRESHOLD_STDS * noise_std
         newest.limits = SearchLimits(pixel_min, peak_min, self.area_min_px2, self.area_max_px2)
         np.greater(newest.averages, pixel_min, out=newest.mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
@@ -431,25 +438,27 @@ class BlobFinder:
         Regions whose bounding box is smaller than `area_min_px2` are left out.
         """
         large_regions = [
-            region for region in self.regions() if _box_px2(region) >= self.area_min_px2
+            region
+            for region in self.regions()
+            if _bounding_box_area_px2(region) >= self.area_min_px2
         ]
-        large_regions.sort(key=_box_px2, reverse=True)
+        large_regions.sort(key=_bounding_box_area_px2, reverse=True)
         blobs: list[Blob] = []
         for region in large_regions[:BLOBS_MAX]:
             blobs += _find_bodies(region, newest.difference, newest.averages, newest.limits)
         return blobs[:BLOBS_MAX]
 
     def regions(self) -> Sequence[np.ndarray]:
-        """Return the contours of all regions of the newest image that show no background.
+        """Find the contours of all regions of the newest image that differ from the background.
 
-        They are in no useful order, and holes in a region are ignored.
+        The order of the regions has no meaning. Holes in a region are ignored.
         """
         return cv2.findContours(self._newest.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
 
     def _without_ghosts(
         self, candidates: Sequence[Blob], gain: float, background: Background
     ) -> list[Blob]:
-        """Return the blobs that show bodies, and correct the background at the others.
+        """Select the blobs that show bodies, and correct the background at the other blobs.
 
         A blob shows no body if the image there is as it was when the background was learned, or if
         a body is only in the background. Blobs are corrected one after another, because they may
@@ -459,16 +468,18 @@ class BlobFinder:
         for blob in candidates:
             rectangle = blob.slices
             levels = self._newest.smooth[rectangle].astype(np.float32) / gain
-            body = blob.mask > 0
-            neighbourhood = cv2.dilate(blob.mask, _averaging_square(self.area_min_px2)) > 0
-            ring = neighbourhood & (self._newest.mask[rectangle] == 0)
+            is_body = blob.mask > 0
+            is_near_body = cv2.dilate(blob.mask, _create_averaging_square(self.area_min_px2)) > 0
+            is_ring = is_near_body & (self._newest.mask[rectangle] == 0)
             background_levels = background.fine[rectangle]
-            mean_change = gain * float(np.abs(levels - background.learned[rectangle])[body].mean())
+            mean_change = gain * float(
+                np.abs(levels - background.learned[rectangle])[is_body].mean()
+            )
             if mean_change < self._newest.limits.pixel_min:
-                background.correct(rectangle, neighbourhood, levels)
-            elif _is_ghost(levels, background_levels, body, ring):
-                background.correct(rectangle, neighbourhood, levels)
-                background.learned[rectangle][neighbourhood] = levels[neighbourhood]
+                background.correct(rectangle, is_near_body, levels)
+            elif _is_ghost(levels, background_levels, is_body, is_ring):
+                background.correct(rectangle, is_near_body, levels)
+                background.learned[rectangle][is_near_body] = levels[is_near_body]
             else:
                 blobs.append(blob)
         return blobs
@@ -487,12 +498,12 @@ class BlobFinder:
         top = rows_of_stripe.start
         if top == rows_of_stripe.stop:  # a picture with fewer rows than stripes
             return
-        calm = 1 - newest.mask[rows_of_stripe]
+        update_mask = 1 - newest.mask[rows_of_stripe]
         for left_px, top_px, right_px, bottom_px in cell_rectangles:
             rows_of_cell = slice(max(0, top_px - top), max(0, bottom_px - top))
-            calm[rows_of_cell, max(0, left_px) : max(0, right_px)] = 0
-        scaled = newest.smooth[rows_of_stripe].astype(np.float32) / self.light.gain
-        self._background.update(rows_of_stripe, scaled, calm)
+            update_mask[rows_of_cell, max(0, left_px) : max(0, right_px)] = 0
+        scaled_levels = newest.smooth[rows_of_stripe].astype(np.float32) / self.light.gain
+        self._background.update(rows_of_stripe, scaled_levels, update_mask)
         self._relearn_if_lost()
 
     def _relearn_if_lost(self) -> None:
@@ -509,16 +520,16 @@ class BlobFinder:
 
 
 def _is_ghost(
-    levels: NDArray[np.float32], background: NDArray[np.float32], body: Bools, ring: Bools
+    levels: NDArray[np.float32], background: NDArray[np.float32], is_body: Bools, is_ring: Bools
 ) -> bool:
-    """Check whether a body is only in the background.
+    """Check whether a blob is a ghost: a body that is only in the background, not in the image.
 
-    A ghost looks like the unchanged ring around it now, but differs from the ring in the
-    background: there, the difference is at least GHOST_RATIO times as large.
+    A ghost now looks like the unchanged ring around it. In the background, it differs from the
+    ring, at least GHOST_RATIO times as much as in the image.
     """
-    ring_level = background[ring].mean() if ring.any() else np.median(background)
-    contrast_now = float(np.abs(levels - ring_level)[body].mean())
-    contrast_in_background = float(np.abs(background - ring_level)[body].mean())
+    ring_level = background[is_ring].mean() if is_ring.any() else np.median(background)
+    contrast_now = float(np.abs(levels - ring_level)[is_body].mean())
+    contrast_in_background = float(np.abs(background - ring_level)[is_body].mean())
     return contrast_in_background >= GHOST_RATIO * max(contrast_now, 1.0)
 
 
@@ -536,7 +547,7 @@ class Box(NamedTuple):
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
-def _box_px2(contour: np.ndarray) -> int:
+def _bounding_box_area_px2(contour: np.ndarray) -> int:
     """Compute the area of a contour's bounding box [px^2]."""
     _, _, width, height = cv2.boundingRect(contour)
     return width * height
@@ -554,11 +565,11 @@ def _find_bodies(
         limits: The limits of the search.
     """
     box = Box(*cv2.boundingRect(region))
-    inside = np.zeros((box.height, box.width), np.uint8)
-    cv2.drawContours(inside, [region], -1, 1, -1, offset=(-box.left, -box.top))
-    if cv2.countNonZero(inside) < limits.area_min_px2:
+    is_inside = np.zeros((box.height, box.width), np.uint8)
+    cv2.drawContours(is_inside, [region], -1, 1, -1, offset=(-box.left, -box.top))
+    if cv2.countNonZero(is_inside) < limits.area_min_px2:
         return
-    remaining = averages[box.slices] * inside
+    remaining = averages[box.slices] * is_inside
     height_px, width_px = averages.shape
     is_at_side = box.left == 0 or box.left + box.width == width_px
     at_edge = is_at_side or box.top == 0 or box.top + box.height == height_px
@@ -573,22 +584,26 @@ def _find_bodies(
             remaining > max(limits.pixel_min, limits.level + EDGE_FRACTION * peak_height)
         )
         cv2.floodFill(mask, None, peak_position, 2)
-        body = _to_grey(mask == 2)
-        surroundings = cv2.dilate(body, _averaging_square(limits.area_min_px2)) > 0
-        remaining[surroundings] = 0
-        body_px2 = cv2.countNonZero(body)
+        body_mask = _to_grey(mask == 2)
+        is_near_body = cv2.dilate(body_mask, _create_averaging_square(limits.area_min_px2)) > 0
+        remaining[is_near_body] = 0
+        body_px2 = cv2.countNonZero(body_mask)
         if (
             limits.area_min_px2 / 2 <= body_px2 <= limits.area_max_px2
         ):  # a neighbour cuts a part off
-            rise = (difference[box.slices] - limits.level) / peak_height
-            weights = (np.clip(rise, *WEIGHT_RAMP) - WEIGHT_RAMP[0]) * surroundings
-            yield _measure_blob(body, weights, difference[box.slices], box, at_edge)
+            weight_levels = (difference[box.slices] - limits.level) / peak_height
+            weights = (np.clip(weight_levels, *WEIGHT_RAMP) - WEIGHT_RAMP[0]) * is_near_body
+            yield _measure_blob(body_mask, weights, difference[box.slices], box, at_edge)
 
 
 def _measure_blob(
-    body: GreyImage, weights: NDArray[np.floating], difference: GreyImage, box: Box, at_edge: bool
+    body_mask: GreyImage,
+    weights: NDArray[np.floating],
+    difference: GreyImage,
+    box: Box,
+    at_edge: bool,
 ) -> Blob:
-    """Compute the ellipse with the same weighted moments as a body.
+    """Measure a body in an image: compute the ellipse with the same weighted moments.
 
     The weights rise from 0 with the difference, up to a maximum, so that neither single pixels at
     the body's edge nor structures inside it change the moments much. An ellipse has the second
@@ -596,7 +611,7 @@ def _measure_blob(
     """
     moments = cv2.moments(weights)
     if moments["m00"] == 0:
-        moments = cv2.moments(body, binaryImage=True)
+        moments = cv2.moments(body_mask, binaryImage=True)
     mass = moments["m00"]
     variance_x = moments["mu20"] / mass + 1 / 12
     variance_y = moments["mu02"] / mass + 1 / 12
@@ -609,19 +624,19 @@ def _measure_blob(
         axis=0.5 * math.atan2(2 * covariance_xy, variance_x - variance_y),
         length=4 * math.sqrt(mean_variance + half_difference),
         width=4 * math.sqrt(max(mean_variance - half_difference, 1e-3)),
-        strength=cv2.mean(difference, body)[0],
-        mask=body,
+        strength=cv2.mean(difference, body_mask)[0],
+        mask=body_mask,
         corner=(box.left, box.top),
         at_edge=at_edge,
     )
 
 
-def _averaging_square(area_min_px2: float) -> GreyImage:
-    """Return the square over which differences are averaged.
+def _create_averaging_square(area_min_px2: float) -> GreyImage:
+    """Create the square over which differences from the background are averaged.
 
     Its side is an odd number of pixels.
     """
-    return np.ones((2 * int(SQUARE_SIDE * math.sqrt(area_min_px2) / 2) + 1,) * 2, np.uint8)
+    return np.ones((2 * int(SQUARE_SIDE_RATIO * math.sqrt(area_min_px2) / 2) + 1,) * 2, np.uint8)
 
 
 def _blur(picture: np.ndarray, buffer: np.ndarray, blurred: np.ndarray) -> None:
@@ -631,8 +646,8 @@ def _blur(picture: np.ndarray, buffer: np.ndarray, blurred: np.ndarray) -> None:
 
     Args:
         picture: The image.
-        buffer: A buffer.
-        blurred: Filled with the result.
+        buffer: Working array of the same shape. Its contents are overwritten.
+        blurred: Array that is filled with the result.
     """
     cv2.blur(picture, (3, 3), buffer)
     cv2.blur(buffer, (3, 3), blurred)
@@ -645,9 +660,9 @@ def _sample_pixels(picture: np.ndarray) -> np.ndarray:
 
 
 def _median_image(pictures: Sequence[GreyImage], gains: Floats) -> NDArray[np.float32]:
-    """Compute the median of images, each multiplied by its gain. It uses little memory."""
+    """Compute the pixelwise median of images, each multiplied by its gain, with little memory."""
     median = np.empty(pictures[0].shape, np.float32)
-    rows_at_once = max(1, min(SAMPLED_ROWS, ROWS_PX // median[0].size))
+    rows_at_once = max(1, min(SAMPLED_ROWS, MEDIAN_PIXELS_MAX // median[0].size))
     for top in range(0, len(median), rows_at_once):
         band = slice(top, top + rows_at_once)
         scaled = [

@@ -1,4 +1,4 @@
-"""Updates the filter with the measurements from the blobs of an image.
+"""Updates the Kalman filter of the cells with measurements from the blobs of an image.
 
 A cell whose identity is an open question has one row of the filter for each cell that it may be.
 Its measurement updates all of them, and their likelihoods go to the question. A cell that is often
@@ -26,7 +26,7 @@ ASTRAY_LENGTHS = (
 def update_filter(
     cell_filter: HelixFilter, readings: Sequence[BlobReading], seconds: float, body_um: float
 ) -> None:
-    """Update the filter with the measurements of one image.
+    """Update the Kalman filter of the cells with the measurements of one image.
 
     Args:
         cell_filter: The filter.
@@ -57,7 +57,7 @@ def update_filter(
 def _add_to_question(
     reading: BlobReading, question: IdentityQuestion, log_likelihoods: Floats, seconds: float
 ) -> None:
-    """Add a measurement to an open question of identity.
+    """Use a measurement as evidence in an open question of which cell is on which track.
 
     Args:
         reading: The measurement.
@@ -109,7 +109,7 @@ def _is_astray(cell_filter: HelixFilter, reading: BlobReading, body_um: float) -
 
 
 def _move_to_blob(cell_filter: HelixFilter, reading: BlobReading) -> None:
-    """Move the state of a cell to its blob, with the end of the axis in front that moved ahead."""
+    """Move the state of a cell to its blob, and choose the end that moves ahead as the front."""
     cell = reading.cell
     x, y, axis = reading.values
     last_x, last_y = cell.last_um.tolist()

@@ -90,7 +90,7 @@ NearWall = Callable[[Floats, Floats], Bools]
 
 
 def nowhere_near_wall(x: Floats, y: Floats) -> Bools:
-    """Return False for every position (R,), for water without walls; a `NearWall`."""
+    """Return False for every position (R,): the `NearWall` function of water without walls."""
     return np.zeros(len(x), bool)
 
 
@@ -239,7 +239,7 @@ class HelixFilter:
         return copy
 
     def free_row(self, row: int) -> None:
-        """Remove a cell: its row becomes free."""
+        """Remove a cell from the filter, so that its row becomes free."""
         self.is_used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
@@ -268,7 +268,7 @@ class HelixFilter:
             self.covariances[row, :RATE, :RATE] += self._new_cell.covariance[:RATE, :RATE]
 
     def predict_bodies(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Predict the measurements of cells' bodies.
+        """Predict where the bodies of some cells are measured.
 
         Args:
             rows: Rows of the cells, shape (M,).

@@ -11,11 +11,11 @@ from tetractl.core.poses import Floats
 from tetractl.core.trial import Note
 
 KNOWN_PROBABILITY = 0.9
-"""Minimum probability of a robot's identity; below it, it is unknown which robot it is."""
+"""Minimum probability at which a robot's identity counts as known."""
 
 
 class IdentityWatch:
-    """Watches whether it is known which cell is which of the robots `names`.
+    """Watches whether it is still known which cell is which robot.
 
     If the identity of a robot has been unknown for `patience_s` [s], `unknown` maps the robot's
     index to the reason why it counts as lost.

@@ -15,7 +15,7 @@ SHIFT_MAX_FRACTION = 0.3
 MEAN_SQUARE_PX = 31
 """Side of the square whose mean is subtracted from each pixel [px of the reduced images]."""
 FEATURE_MEDIANS = 6.0
-"""Minimum deviation from this mean that counts as a feature, in medians of the deviations."""
+"""Minimum deviation from the local mean that counts as a feature, in medians of deviations."""
 LEFT_FRACTION_MAX = 0.85
 """Maximum fraction of the changed pixels that a shift may leave unexplained."""
 
@@ -36,7 +36,9 @@ def find_shift(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     flat_previous, flat_newest = (_flatten(picture, scale) for picture in (previous, newest))
     window = cv2.createHanningWindow(flat_previous.shape[::-1], cv2.CV_32F)
-    (x, y), _ = cv2.phaseCorrelate(_features(flat_previous), _features(flat_newest), window)
+    (x, y), _ = cv2.phaseCorrelate(
+        _extract_features(flat_previous), _extract_features(flat_newest), window
+    )
     largest_component = max(abs(x), abs(y))
     if math.hypot(x, y) < SHIFT_MIN_PX or not largest_component < SHIFT_MAX_FRACTION * min(
         flat_previous.shape
@@ -46,8 +48,8 @@ def find_shift(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
     differences_after = cv2.absdiff(shift_picture(flat_previous, (x, y)), flat_newest)
     change_min = max(FEATURE_MEDIANS * float(np.median(differences_before)), 8.0)
     common_part = (
-        _common_pixels(y, flat_previous.shape[0]),
-        _common_pixels(x, flat_previous.shape[1]),
+        _find_common_pixels(y, flat_previous.shape[0]),
+        _find_common_pixels(x, flat_previous.shape[1]),
     )
     counts = [
         np.count_nonzero(difference[common_part] > change_min)
@@ -56,8 +58,8 @@ def find_shift(previous: np.ndarray, newest: np.ndarray) -> tuple[float, float]:
     return (x / scale, y / scale) if counts[1] < LEFT_FRACTION_MAX * counts[0] else (0.0, 0.0)
 
 
-def _common_pixels(shift_px: float, size_px: int) -> slice:
-    """Return the pixels along one axis that an image shows both before and after a shift [px].
+def _find_common_pixels(shift_px: float, size_px: int) -> slice:
+    """Find the pixels along one axis that an image shows both before and after a shift [px].
 
     They are counted in the image after the shift.
     """
@@ -85,7 +87,7 @@ def _flatten(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
     return flat - cv2.blur(flat, (MEAN_SQUARE_PX, MEAN_SQUARE_PX))
 
 
-def _features(flat: NDArray[np.float32]) -> NDArray[np.float32]:
+def _extract_features(flat: NDArray[np.float32]) -> NDArray[np.float32]:
     """Extract the features of a flattened image: deviations above a threshold, reduced by it.
 
     Everything that stands out less, such as noise and fixed patterns, becomes 0.

@@ -1,4 +1,4 @@
-"""Assigns the blobs of an image to tracks, in one assignment of minimum total cost.
+"""Assigns the blobs of an image to cells and specks, with the minimum total cost.
 
 Costs are squared deviations: twice the negative log-likelihood. A cell may have one of these, or
 none:
@@ -91,7 +91,7 @@ class SpeckCosts:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """The blob of each cell and each speck in one image.
+    """The blobs that are assigned to the cells and specks in one image.
 
     Attributes:
         of_cells: Index of the blob of each cell. None if it has none.
@@ -102,7 +102,7 @@ class Assignment:
     of_specks: list[int | None]
 
 
-def cell_costs(
+def compute_cell_costs(
     cells: Sequence[CellTrack],
     expected: Floats,
     covariances: Floats,
@@ -151,12 +151,12 @@ def cell_costs(
 
     return CellCosts(
         own=np.minimum(cost_near, cost_away),
-        shared=_shared_costs(cells, image.pixels_of(expected), blobs, image.um_px),
+        shared=_compute_shared_costs(cells, image.pixels_of(expected), blobs, image.um_px),
         is_away=cost_away < cost_near,
     )
 
 
-def speck_costs(
+def compute_speck_costs(
     specks: Sequence[Speck],
     places: Floats,
     seconds: float,
@@ -186,10 +186,10 @@ def speck_costs(
     return SpeckCosts(np.where(distances < reach[:, None], cost, FORBIDDEN_COST), no_blob_costs)
 
 
-def _shared_costs(
+def _compute_shared_costs(
     cells: Sequence[CellTrack], pixels: Floats, blobs: Sequence[Blob], um_px: float
 ) -> Floats:
-    """Compute the costs of places in blobs that cover the cells' expected positions.
+    """Compute the costs for cells of sharing a blob that covers their expected positions.
 
     Args:
         cells: The C cells.
@@ -251,7 +251,7 @@ def assign_blobs(cells: CellCosts, specks: SpeckCosts) -> Assignment:
     return Assignment(of_cells, of_specks)
 
 
-def centres_in_blob(cells: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
+def find_centres_in_blob(cells: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
     """Find the centres of K cells in a blob that they share, shape (K, 2) [um].
 
     A sample of the pixels is fitted, by expectation-maximisation, with a mixture of Gaussians that

@@ -1,4 +1,4 @@
-"""Meetings of tracks: which track still shows which cell while tracks share a blob.
+"""Meetings of tracks: infers which track still shows which cell while tracks share a blob.
 
 When a track joins a meeting, the filter row of its cell is copied, and the copy is predicted
 without measurements. If the copy of cell n expects the cell at place z of track t with the density
@@ -28,10 +28,10 @@ from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
     Meeting,
     Member,
-    all_assignments,
-    log_assignment_probabilities,
-    log_densities,
-    to_probabilities,
+    compute_log_assignment_probabilities,
+    compute_log_densities,
+    list_assignments,
+    normalise_log_probabilities,
 )
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.readings import SHARED_SD
@@ -134,15 +134,17 @@ class Meetings:
         tracks = meeting.tracks
         places, _ = self._cell_filter.predict_bodies(np.array([track.row for track in tracks]))
         deviations = [SHARED_SD.position if track.is_shared else POSITION_SD for track in tracks]
-        log_table = self.log_densities(meeting, places, np.array(deviations))
+        log_table = self.compute_log_densities(meeting, places, np.array(deviations))
         known_probabilities = np.diagonal(self.known_probabilities(meeting, log_table))
         if len(tracks) > ASSIGNED_TRACKS_MAX:
             # only exchanges of two cells are counted, as ratios to the assignment without any
             log_own = np.diagonal(log_table)
             exchange_ratios = np.exp(log_table + log_table.T - log_own[:, None] - log_own)
             return known_probabilities / exchange_ratios.sum(axis=1)
-        assignments = all_assignments(len(tracks))
-        probabilities = to_probabilities(log_assignment_probabilities(assignments, log_table))
+        assignments = list_assignments(len(tracks))
+        probabilities = normalise_log_probabilities(
+            compute_log_assignment_probabilities(assignments, log_table)
+        )
         has_own = assignments == np.arange(len(tracks))
         return known_probabilities * (probabilities @ has_own)
 
@@ -156,7 +158,7 @@ class Meetings:
             return np.ones(log_table.shape)
         return 1 / (1 + np.exp(self._log_unknown() - log_table))
 
-    def log_densities(self, meeting: Meeting, places: Floats, deviations: Floats) -> Floats:
+    def compute_log_densities(self, meeting: Meeting, places: Floats, deviations: Floats) -> Floats:
         """Compute the log-density of a meeting's cells at given places [1/um^2], shape (K, M).
 
         Args:
@@ -166,7 +168,9 @@ class Meetings:
                 (K,).
         """
         sd_um = self._body_um * deviations
-        return log_densities(self._cell_filter, meeting.rows, places, sd_um, self._log_unknown())
+        return compute_log_densities(
+            self._cell_filter, meeting.rows, places, sd_um, self._log_unknown()
+        )
 
     def _log_unknown(self) -> float:
         """Return the log-density of an unknown object that comes out of a blob, in ln of 1/um^2."""

@@ -1,4 +1,4 @@
-"""Infers which cell is which after cells have met, or after one came out of another cell's blob.
+"""Infers which cell is which after cells have met, or after a cell left another cell's blob.
 
 A *track* is an object that is tracked from image to image. Its *identity* is the number of the cell
 that it most probably shows, and its *certainty* is the probability of that number.
@@ -33,8 +33,8 @@ from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
     IdentityQuestion,
     Meeting,
-    all_assignments,
-    log_assignment_probabilities,
+    compute_log_assignment_probabilities,
+    list_assignments,
 )
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
 from tetractl_microscope.cells.meetings import ASSIGNED_TRACKS_MAX, POSITION_SD, Meetings
@@ -44,7 +44,7 @@ ASSERTED_PROBABILITY = 0.99
 # Standard deviations of x, y [um] and axis [rad] of a track's blob when a question is opened.
 FIRST_BLOB_SD = (2.0, 2.0, 0.1)
 # Squared Mahalanobis distance above which the prediction of a cell is moved to the track's blob.
-FAR_SQUARED_DISTANCE = 25.0
+SQUARED_DISTANCE_MAX = 25.0
 UNKNOWN_REMEMBERED_S = 0.5  # time for which a meeting with an unknown object is remembered
 # Probability that a track still shows its cell after another object came out of the track's blob,
 # if nothing more is known.
@@ -72,7 +72,7 @@ class CellIdentities:
         self._answers: list[CellAnswer] = []  # those not returned by `take_answers` yet
 
     def take_answers(self) -> list[CellAnswer]:
-        """Return the answers since the last call, and remove them from the list."""
+        """Return the identities that were inferred since the last call, and clear the list."""
         answers = self._answers
         self._answers = []
         return answers
@@ -85,7 +85,7 @@ class CellIdentities:
     # ---- tracks that meet and part ----
 
     def note_meeting(self, tracks: Sequence[CellTrack], seconds: float, with_unknown: bool) -> None:
-        """Record that tracks cannot be distinguished.
+        """Record that the cells on some tracks meet, and cannot be distinguished.
 
         The tracks share a blob, or the blob of a single track is too large for one cell.
 
@@ -94,7 +94,9 @@ class CellIdentities:
             seconds: Time of the image [s].
             with_unknown: Whether an unknown object may be in the blob, too.
         """
-        for question in {id(t.question): t.question for t in tracks if t.question}.values():
+        for question in {
+            id(track.question): track.question for track in tracks if track.question
+        }.values():
             self._close_question(question)
         for track in tracks:
             track.together_s = seconds
@@ -103,7 +105,7 @@ class CellIdentities:
     def end_meetings(
         self, places: dict[int, Floats], awaiting_tracks: Sequence[CellTrack], seconds: float
     ) -> None:
-        """End the meetings of tracks that are separate again.
+        """End the meetings of cells whose tracks are separate again.
 
         Args:
             places: x, y [um] and axis [rad] of the blob of each track, by the track's number.
@@ -190,7 +192,9 @@ class CellIdentities:
             # the two tracks show the cell and something unknown: the nearer to its copy is the cell
             rows = np.array([old_track.row, new_track.row])
             places, _ = self._cell_filter.predict_bodies(rows)
-            log_densities = self._meetings.log_densities(meeting, places, np.full(2, POSITION_SD))
+            log_densities = self._meetings.compute_log_densities(
+                meeting, places, np.full(2, POSITION_SD)
+            )
             log_own, log_other = log_densities[:, 0].tolist()
             old_track.together_s = since_s
             self._meetings.end(meeting)
@@ -222,14 +226,14 @@ class CellIdentities:
         the certainty of the remaining track's identity is reduced.
         """
         own_probabilities = self._meetings.own_probabilities(meeting).tolist()
-        remaining = [
+        remaining_tracks = [
             (member, own_probability)
             for member, own_probability in zip(meeting.tracks, own_probabilities, strict=True)
             if member is not track
         ]
         self._meetings.leave(meeting, track)
-        if len(remaining) == 1:
-            last_track, own_probability = remaining[0]
+        if len(remaining_tracks) == 1:
+            last_track, own_probability = remaining_tracks[0]
             if own_probability < ASSERTED_PROBABILITY:
                 self._meetings.end(meeting)
                 self._reduce_certainty(last_track, own_probability)
@@ -282,9 +286,11 @@ class CellIdentities:
             seconds: Time of the image [s].
         """
         tracks = meeting.tracks
-        log_table = self._meetings.log_densities(meeting, places, np.full(len(tracks), POSITION_SD))
+        log_table = self._meetings.compute_log_densities(
+            meeting, places, np.full(len(tracks), POSITION_SD)
+        )
         known_probability = self._meetings.known_probabilities(meeting, log_table)
-        log_prior = log_assignment_probabilities(all_assignments(len(tracks)), log_table)
+        log_prior = compute_log_assignment_probabilities(list_assignments(len(tracks)), log_table)
         rows = self._create_question_rows(meeting, places)
         question = IdentityQuestion(meeting.members, rows, log_prior, known_probability, seconds)
         self._meetings.end(meeting)
@@ -313,7 +319,7 @@ class CellIdentities:
             _, squared_distances = cell_filter.update(rows[i], values, deviations)
             is_backwards = np.cos(cell_filter.means[rows[i], HEADING] - place[2]) < 0
             for j in np.flatnonzero(
-                (squared_distances > FAR_SQUARED_DISTANCE) | is_backwards
+                (squared_distances > SQUARED_DISTANCE_MAX) | is_backwards
             ).tolist():
                 moved_row = cell_filter.copy_row_to(int(rows[i, j]), *place.tolist())
                 cell_filter.free_row(int(rows[i, j]))

@@ -1,4 +1,4 @@
-"""Tracks specks, the objects that are not known to be cells, until they swim and become cells.
+"""Tracks specks, which are objects not yet known to be cells, until they swim and become cells.
 
 A blob without a cell continues the speck to which it was assigned, or starts a new speck. A speck
 that swims as the organism does becomes a cell, and gets a row of the filter. If it came out of
@@ -21,9 +21,9 @@ from tetractl_microscope.cells.readings import PATH_BLOBS
 from tetractl_microscope.cells.specks import (
     BLOBS_TO_JUDGE,
     Speck,
+    compute_median_size,
     fit_uniform_motion,
     is_swimming,
-    median_size,
 )
 from tetractl_microscope.organisms import Organism
 
@@ -35,7 +35,7 @@ EDGE_ENTRY_LENGTHS = (
 
 @dataclass(frozen=True, slots=True)
 class FreeBlob:
-    """A blob without a cell.
+    """A blob in the newest image that shows no tracked cell.
 
     Attributes:
         track_blob: The blob.
@@ -57,7 +57,7 @@ class FreeBlob:
 
 
 class Newcomers:
-    """The specks of a dish, and how they become cells.
+    """The specks of a dish: objects that become cells once they swim.
 
     For each image, `update` is called once, after the cells have their blobs and names.
 
@@ -124,7 +124,7 @@ class Newcomers:
         return new_cells
 
     def _drop_hidden(self, image: NewestImage) -> None:
-        """Drop specks without a blob for HIDDEN_S, or for `brief_s` if their path is short."""
+        """Drop specks that were hidden for HIDDEN_S, or for `brief_s` if their path is short."""
         remaining = list[Speck]()
         for speck in self.specks:
             has_whole_path = len(speck.path) == PATH_BLOBS
@@ -171,7 +171,7 @@ class Newcomers:
         cell = CellTrack(
             number=speck.number,
             row=self._cell_filter.add(x, y, heading, math.hypot(speed_x, speed_y)),
-            size=median_size(path),
+            size=compute_median_size(path),
             last_um=path[-1, 1:3],
             path=speck.path,
             newest_blob=newest_blob,

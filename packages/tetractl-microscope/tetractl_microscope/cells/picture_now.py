@@ -1,4 +1,4 @@
-"""The newest image: its time and size, and the conversion between pixels and positions.
+"""The time and size of the newest image, and the conversion between pixels and positions.
 
 Column c and row r are at x = (c + 1/2) um_px and, because y points up, at y = (height - 1/2 - r)
 um_px.
@@ -37,7 +37,7 @@ class NewestImage:
 
     @property
     def short_gap_s(self) -> float:
-        """Time without a blob that is not conclusive, because an image may be missing [s]."""
+        """Time for which a cell may have no blob only because an image is missing [s]."""
         return max(GAP_MIN_S, GAP_PERIODS * self.since_previous_s)
 
     def edge_distance_um(self, x: float, y: float) -> float:
@@ -80,7 +80,7 @@ class NewestImage:
 
 
 def pixels_of(places: Floats, um_px: float, height: int) -> Floats:
-    """Convert places to columns and rows of an image, shape (N, 2).
+    """Convert positions to columns and rows of an image, shape (N, 2).
 
     Args:
         places: The places, shape (N, >= 2) [um].

@@ -12,7 +12,7 @@ from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.match import LARGE_AREA_RATIO
 from tetractl_microscope.cells.picture_now import NewestImage
-from tetractl_microscope.cells.specks import median_size
+from tetractl_microscope.cells.specks import compute_median_size
 
 
 class MeasurementSd(NamedTuple):
@@ -64,8 +64,8 @@ class BlobReading:
     deviations: tuple[float, float, float]
 
 
-def note_own_blob(cell: CellTrack, track_blob: TrackBlob, seconds: float) -> None:
-    """Add a cell's own blob to its path, and check its size.
+def record_own_blob(cell: CellTrack, track_blob: TrackBlob, seconds: float) -> None:
+    """Add a cell's own blob to the cell's path, and check the size of the blob.
 
     The blob may be too large for the cell, or the cell may have another size than was assumed.
 
@@ -81,7 +81,7 @@ def note_own_blob(cell: CellTrack, track_blob: TrackBlob, seconds: float) -> Non
         cell.size_seen_s = seconds
     elif seconds - cell.size_seen_s > NEW_SIZE_S:
         # nothing else has left the blob: this is its size
-        cell.size = median_size(np.array(cell.path))
+        cell.size = compute_median_size(np.array(cell.path))
     has_large_area = size.area_um2 > LARGE_AREA_RATIO * cell.size.area_um2
     track_blob.is_large = has_large_area or size.length > TWO_CELLS_LENGTH_RATIO * cell.size.length
 
@@ -108,7 +108,7 @@ def _is_unusual(cell: CellTrack, track_blob: TrackBlob) -> bool:
     return track_blob.is_large or is_smaller or track_blob.blob.at_edge
 
 
-def own_reading(
+def create_own_reading(
     cell: CellTrack, track_blob: TrackBlob, expected: Floats, image: NewestImage, body_um: float
 ) -> BlobReading:
     """Compute the measurement of a cell from its own blob.
@@ -133,7 +133,7 @@ def own_reading(
     if track_blob.is_large and not track_blob.blob.at_edge:
         opposite = (*(2 * track_blob.place[:2] - expected[:2]), axis)
         points = image.points_of(track_blob.blob)
-        centres = match.centres_in_blob([cell, cell], np.array([expected, opposite]), points)
+        centres = match.find_centres_in_blob([cell, cell], np.array([expected, opposite]), points)
         x, y = centres[0].tolist()
         sd_um = SHARED_SD.position * body_um
     else:
@@ -141,7 +141,7 @@ def own_reading(
     return BlobReading(cell, track_blob, (x, y, axis), (sd_um, sd_um, UNUSUAL_SD.axis))
 
 
-def shared_readings(
+def create_shared_readings(
     cells: Sequence[CellTrack],
     track_blob: TrackBlob,
     expected: Floats,
@@ -164,7 +164,7 @@ def shared_readings(
     spread = HIDDEN_SD if has_size_of_one_cell else SHARED_SD
     sd_um = spread.position * body_um
     points = image.points_of(track_blob.blob)
-    centres = match.centres_in_blob(cells, expected, points).tolist()
+    centres = match.find_centres_in_blob(cells, expected, points).tolist()
     return [
         BlobReading(cell, track_blob, (x, y, axis), (sd_um, sd_um, spread.axis))
         for cell, axis, (x, y) in zip(cells, expected[:, 2].tolist(), centres, strict=True)

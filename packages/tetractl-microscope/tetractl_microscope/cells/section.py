@@ -20,7 +20,7 @@ Lengths = TypeVar("Lengths", float, Floats)
 
 
 class CellsSection(PictureSection):
-    """A microscope above swimming cells; the cells nearest to the starts become the robots."""
+    """A microscope's camera above swimming cells. The cells nearest to the starts become robots."""
 
     device: ClassVar[str] = "tetractl_microscope.cells.camera:CellCamera"
     settles: ClassVar[bool] = True
@@ -28,24 +28,24 @@ class CellsSection(PictureSection):
     um_px: Annotated[float, Field(ge=0.05, le=100)]
     """Micrometres per pixel, measured with a stage micrometer."""
     corner: Point = (0.0, 0.0)
-    """Position of the picture's lower left corner in the spec's coordinates [length unit]."""
+    """Position of the image's lower left corner in the spec's coordinates [length unit]."""
     rotation: Angle = 0.0
-    """Angle from the spec's x axis to the picture's rows, anticlockwise [rad]."""
+    """Angle from the spec's x axis to the rows of the image, anticlockwise [rad]."""
     mirrored: bool = False
-    """Whether pictures are mirrored left to right; they are mirrored back before `rotation`."""
+    """Whether images are mirrored left to right. They are mirrored back before `rotation`."""
     organism: Annotated[str, KindName(ORGANISMS)] = "tetrahymena"
     """Kind of cell in the dish. Its sizes and speeds decide which objects are cells."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
-    """Time before the first frame in which pictures for the background are taken [s]."""
+    """Time before the first frame in which images for the background are taken [s]."""
     connect: Positive = 8.0
-    """Maximum wait for the source to open, and then for the first pictures and background [s]."""
+    """Maximum wait for the source to open, and then for the first images and background [s]."""
 
     def bounds(self) -> dict[str, str]:
-        """Return the source and scale of the pictures as {name: text}, for display."""
+        """Describe the source and the scale of the images for display: {name: text}."""
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Compute scale and rotation from two points in an image.
+        """Compute the scale and rotation of the image from two points at a known distance.
 
         Args:
             first: Column and row of the first point [px].

@@ -1,4 +1,4 @@
-"""Specks: objects in a dish that are tracked until they swim, and are then known to be cells."""
+"""Specks: objects in a dish that are tracked until their motion shows that they are cells."""
 
 import math
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.organisms import Organism
 
 BLOBS_TO_JUDGE = 5
-"""Number of blobs after which a speck may be a cell."""
+"""Number of blobs of a speck from which its motion is judged."""
 WHOLE_BLOBS_MIN = 3
-"""Minimum number of these blobs that the edge of the image does not cut off."""
+"""Minimum number of the judged blobs that the edge of the image does not cut off."""
 DISPLACEMENT_MIN = 0.23
-"""Minimum distance between the first and the last of these blobs [body lengths]."""
+"""Minimum distance between the first and the last judged blob of a cell [body lengths]."""
 DEVIATION_MAX = 0.1
-"""Maximum root mean square distance of these blobs from a uniform motion [body lengths]."""
+"""Maximum root mean square distance of the judged blobs from uniform motion [body lengths]."""
 BLOBS_FOR_VELOCITY = 4
 """Number of the newest blobs from which the velocity of an object is computed."""
 EXTRAPOLATION_MAX_S = 0.1
@@ -29,7 +29,7 @@ SIZE_VARIATION_MAX = 0.2
 
 @dataclass(slots=True, eq=False)
 class Speck:
-    """An object that has not swum yet.
+    """An object in a dish that has not swum yet, and may be a cell or debris.
 
     Attributes:
         number: Its number.
@@ -75,7 +75,7 @@ def is_swimming(blobs: Sequence[PathBlob], organism: Organism) -> bool:
         return False
     if np.isfinite(path[:, 4]).sum() < WHOLE_BLOBS_MIN:
         return False
-    length_um, width_um = median_size(path)
+    length_um, width_um = compute_median_size(path)
     (length_min_um, length_max_um), (width_min_um, width_max_um) = organism.outline_um
     if not (length_min_um < length_um < length_max_um and width_min_um < width_um < width_max_um):
         return False
@@ -90,7 +90,7 @@ def is_swimming(blobs: Sequence[PathBlob], organism: Organism) -> bool:
     return bool(has_steady_size and deviation_um < DEVIATION_MAX * body_um)
 
 
-def median_size(path: Floats) -> BodySize:
+def compute_median_size(path: Floats) -> BodySize:
     """Compute the median size of the blobs of a path (M, 6) that are not cut off.
 
     At least one must not be.

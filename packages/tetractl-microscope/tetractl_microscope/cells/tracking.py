@@ -37,9 +37,9 @@ from tetractl_microscope.cells.newcomers import EDGE_ENTRY_LENGTHS, FreeBlob, Ne
 from tetractl_microscope.cells.picture_now import NewestImage
 from tetractl_microscope.cells.readings import (
     BlobReading,
-    note_own_blob,
-    own_reading,
-    shared_readings,
+    create_own_reading,
+    create_shared_readings,
+    record_own_blob,
     update_size,
 )
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
@@ -79,7 +79,7 @@ class CellsInBlob:
 
 
 class CellTracker:
-    """Tracks the cells in images.
+    """Tracks the cells in a sequence of microscope images.
 
     Images must be given in the order of time, after `finder` has learned the background. Positions
     come from `picture_now`.
@@ -201,8 +201,10 @@ class CellTracker:
         expected, covariances = self.cell_filter.predict_bodies(
             np.array([cell.row for cell in cells], int)
         )
-        costs = match.cell_costs(cells, expected, covariances, blobs, places, image, organism)
-        speck_costs = match.speck_costs(
+        costs = match.compute_cell_costs(
+            cells, expected, covariances, blobs, places, image, organism
+        )
+        speck_costs = match.compute_speck_costs(
             specks, places, image.seconds, image.since_previous_s, organism
         )
         assignment = match.assign_blobs(costs, speck_costs)
@@ -221,19 +223,19 @@ class CellTracker:
         expected: Floats,
         image: NewestImage,
     ) -> list[CellsInBlob]:
-        """Give the cells their blobs, and return each blob together with its cells.
+        """Assign blobs to the cells, and return each blob together with its cells.
 
         `blob_of_cell` holds the index in `track_blobs` of each cell's blob.
         """
-        cells_of: dict[int, list[int]] = {}
+        cell_indices_by_blob: dict[int, list[int]] = {}
         for i, blob in enumerate(blob_of_cell):
             if blob is None:
                 self._cells[i].newest_blob = None
                 self._cells[i].missed_s += image.since_previous_s
             else:
-                cells_of.setdefault(blob, []).append(i)
+                cell_indices_by_blob.setdefault(blob, []).append(i)
         groups = list[CellsInBlob]()
-        for blob, indices in cells_of.items():
+        for blob, indices in cell_indices_by_blob.items():
             track_blob = track_blobs[blob]
             track_blob.is_shared = len(indices) > 1
             cells = [self._cells[i] for i in indices]
@@ -246,7 +248,7 @@ class CellTracker:
     def _assign_to_specks(
         self, assignment: match.Assignment, track_blobs: Sequence[TrackBlob], image: NewestImage
     ) -> list[FreeBlob]:
-        """Give the specks their blobs, and return all blobs without a cell.
+        """Assign blobs to the specks, and return all blobs without a cell.
 
         A returned blob has its speck, or None if it is a new one. A speck without a blob
         has been missed for the time since the previous image.
@@ -289,11 +291,11 @@ class CellTracker:
             reading.cell.last_um = reading.track_blob.place[:2]
 
     def _note_own_blob(self, cell: CellTrack, track_blob: TrackBlob, image: NewestImage) -> None:
-        """Note the size of a cell's own blob.
+        """Record the size of a cell's own blob.
 
         A blob that is cut off or too large may also show another cell.
         """
-        note_own_blob(cell, track_blob, image.seconds)
+        record_own_blob(cell, track_blob, image.seconds)
         # at the picture's edge, a cell that enters may take the blob of one that leaves
         is_cut = track_blob.blob.at_edge and not cell.is_new
         if (track_blob.is_large or is_cut) and cell.question is None:
@@ -303,10 +305,12 @@ class CellTracker:
         """Convert a blob to the measurements of its cells."""
         body_um = self.cell_filter.organism.body_um[0]
         if group.track_blob.is_shared:
-            return shared_readings(group.cells, group.track_blob, group.expected, image, body_um)
+            return create_shared_readings(
+                group.cells, group.track_blob, group.expected, image, body_um
+            )
         (cell,) = group.cells
         (expected,) = group.expected
-        return [own_reading(cell, group.track_blob, expected, image, body_um)]
+        return [create_own_reading(cell, group.track_blob, expected, image, body_um)]
 
     # ---- step 4: which cell is which ----
 
@@ -383,9 +387,11 @@ class CellTracker:
 
         Each is left, top, right and bottom [px].
         """
-        states = self.cell_filter.means[[cell.row for cell in self._cells]]
+        cell_states = self.cell_filter.means[[cell.row for cell in self._cells]]
         rectangles = list[tuple[int, int, int, int]]()
-        for cell, (column, row) in zip(self._cells, image.pixels_of(states).tolist(), strict=True):
+        for cell, (column, row) in zip(
+            self._cells, image.pixels_of(cell_states).tolist(), strict=True
+        ):
             reach_px = REACH_LENGTHS * cell.size.length / self.um_px + REACH_PX
             first_column = round(column - reach_px)
             last_column = round(column + reach_px)

@@ -1,1 +1,1 @@
-"""Trials that choose their robots among the cells of a dish: `robots: {choose: N, ...}`."""
+"""Chooses which cells of a dish become the robots of a trial: `robots: {choose: N, ...}`."""

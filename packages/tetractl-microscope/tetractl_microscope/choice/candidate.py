@@ -1,4 +1,4 @@
-"""A cell that may become a robot of a trial."""
+"""The measured properties of a cell that may become a robot of a trial."""
 
 from dataclasses import dataclass
 

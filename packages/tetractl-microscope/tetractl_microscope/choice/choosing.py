@@ -10,7 +10,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.spec.experiment import Experiment, Robot, assign_targets
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.section import Choice, choice_of
+from tetractl_microscope.choice.section import Choice, require_choice
 
 # Maximum difference of ln a of two robots that makes a choice better.
 UNLIKENESS_MAX = 0.4
@@ -35,7 +35,7 @@ def choose_cells(experiment: Experiment, cells: Sequence[RobotCandidate]) -> lis
     Raises:
         AbortError: If too few cells respond to the field, or if a wanted cell is missing.
     """
-    choice = choice_of(experiment)
+    choice = require_choice(experiment)
     responding_cells = [cell for cell in cells if cell.magnetised]
     if len(responding_cells) < choice.choose:
         raise AbortError(
@@ -47,15 +47,15 @@ def choose_cells(experiment: Experiment, cells: Sequence[RobotCandidate]) -> lis
         :14
     ]  # more would have very many combinations
     if choice.wanted:
-        return _find_wanted(choice, responding_cells)
+        return _find_wanted_cells(choice, responding_cells)
     combinations_of_cells = combinations(responding_cells, choice.choose)
     return list(
         max(combinations_of_cells, key=lambda cells_chosen: rate_choice(cells_chosen, experiment))
     )
 
 
-def with_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
-    """Return the experiment with the chosen cells as its robots.
+def set_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
+    """Return a copy of an experiment with the chosen cells as its robots.
 
     The robots start at the cells' poses. Targets are assigned so that the sum of the squared
     distances from start to target is minimal.
@@ -64,7 +64,7 @@ def with_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Expe
         experiment: An experiment whose spec has `robots: {choose: N}`.
         cells: The chosen cells.
     """
-    choice = choice_of(experiment)
+    choice = require_choice(experiment)
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
     goals = choice.goals
     robots = [
@@ -84,8 +84,8 @@ def with_robots(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Expe
     return copied
 
 
-def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Compute how well cells can be steered apart because of their different turning rates.
+def compute_dissimilarity(a: Floats, a_sd: Floats) -> float:
+    """Compute how different the turning rates of cells are, so that one field can steer them apart.
 
     Args:
         a: Turning rates, shape (N,) [rad/s].
@@ -113,8 +113,8 @@ def rate_choice(
 
     Returns:
         A tuple that compares like any tuple. Its entries are: whether all cells are free and stay
-        clear of walls for 0.5 s, their `unlikeness` up to UNLIKENESS_MAX, and their minimum turning
-        rate [rad/s].
+        clear of walls for 0.5 s, their `compute_dissimilarity` up to UNLIKENESS_MAX, and their
+        minimum turning rate [rad/s].
     """
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
@@ -123,7 +123,7 @@ def rate_choice(
     stays_inside = bool((arena.depth_inside(x, y) > 0.5 * speed).all())
     are_all_free = stays_inside and all(cell.free for cell in cells)
     a = np.array([cell.a for cell in cells])
-    cell_unlikeness = unlikeness(a, np.array([cell.a_sd for cell in cells]))
+    cell_unlikeness = compute_dissimilarity(a, np.array([cell.a_sd for cell in cells]))
     return are_all_free, min(cell_unlikeness, UNLIKENESS_MAX), float(a.min())
 
 
@@ -150,8 +150,8 @@ def find_most_similar(
     return None if log_differences[best] > LOG_DIFFERENCE_MAX else cells[best]
 
 
-def _find_wanted(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
-    """Find a different cell for each of `choice.wanted`, similar in turning rate and speed.
+def _find_wanted_cells(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
+    """Find the cells that a survey proposed again, by their turning rates and speeds.
 
     Raises:
         AbortError: If a wanted cell is not found.

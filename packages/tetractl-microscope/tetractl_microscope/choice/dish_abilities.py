@@ -70,8 +70,8 @@ class SettlesRobots(Protocol):
         ...
 
 
-def tracker_of(rig: Rig) -> TracksCells:
-    """Return the camera of a connected lab as one that tracks cells.
+def require_cell_tracker(rig: Rig) -> TracksCells:
+    """Return the camera of a connected lab, and check that it tracks cells.
 
     Raises:
         AbortError: If the camera cannot track cells other than its robots.

@@ -1,4 +1,4 @@
-"""The plans with which the first trials of an experiment would begin, without a deadline."""
+"""Searches the plans with which the first trials of an experiment would begin."""
 
 from collections.abc import Iterator
 
@@ -14,17 +14,17 @@ from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.controller import Host
 from tetractl.spec.experiment import Experiment
 
-POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False)
-"""How robots are steered whose controller has no margins: as points that may leave the arena."""
-UNHURRIED = Host(timer=lambda: 0)
+POINT_COLLISION = Collision(walls=False, adaptive=False, stop_before_collision=False)
+"""Collision settings without margins: robots are points and may leave the arena."""
+HOST_WITHOUT_DEADLINE = Host(timer=lambda: 0)
 """A host of controllers whose searches have no deadline.
 
 On a busy machine, a deadline would end searches earlier, and the predictions would differ.
 """
 
 
-def planner(experiment: Experiment) -> RecommendedMpc:
-    """Return the section of the model predictive control that searches an experiment's plans.
+def select_planner(experiment: Experiment) -> RecommendedMpc:
+    """Select the section of the model predictive control that searches an experiment's plans.
 
     This is the spec's `controller` if its type is mpc, otherwise mpc with the spec's period, number
     of steps and, if it has them, motion and longest sequence. The optimiser is multistart, which
@@ -40,19 +40,21 @@ def planner(experiment: Experiment) -> RecommendedMpc:
     if isinstance(control, SearchFields):
         shared |= control.model_dump(include={"motion", "horizon_max", "obstacle_weight"})
     setup = experiment.setup
-    section = RecommendedMpc(estimate=False, collision=POINTS, **shared)
+    section = RecommendedMpc(estimate=False, collision=POINT_COLLISION, **shared)
     return section.fitted(setup.on_wheels, float(setup.speed.sum()))
 
 
-def tolerance(section: RecommendedMpc) -> float:
-    """Return the cost up to which a plan reaches the targets [length unit].
+def compute_cost_tolerance(section: RecommendedMpc) -> float:
+    """Compute the maximum cost of a plan that reaches the targets [length unit].
 
     It is the larger of the optimiser's tolerance and the accepted error.
     """
     return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
 
-def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Plan | None]:
+def search_first_plans(
+    section: RecommendedMpc, setup: Setup, seed: int, count: int
+) -> Iterator[Plan | None]:
     """Yield the plans with which the first trials of a batch would begin.
 
     A plan reaches the targets if its cost is at most the tolerance. If a robot starts within a
@@ -74,7 +76,7 @@ def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Itera
     within = bool(problem.obstacles.contains(setup.starts.x, setup.starts.y).any())
     for trial in range(count):
         key, _ = trial_seeds(seed, trial)
-        plan = section.build(setup, key, UNHURRIED).plan(observation)
+        plan = section.build(setup, key, HOST_WITHOUT_DEADLINE).plan(observation)
         if isinstance(plan, Plan):
             cost = plan.target_cost if within else plan.cost
-            yield plan if cost <= tolerance(section) else None
+            yield plan if cost <= compute_cost_tolerance(section) else None

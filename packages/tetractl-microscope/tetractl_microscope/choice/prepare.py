@@ -15,10 +15,10 @@ from tetractl.plant.sim_section import SimSection
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.plants import PreparedTrial
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.choosing import choose_cells, with_robots
-from tetractl_microscope.choice.dish_abilities import SettlesRobots, tracker_of
-from tetractl_microscope.choice.scattered_cells import scattered_cells
-from tetractl_microscope.choice.section import choice_of
+from tetractl_microscope.choice.choosing import choose_cells, set_robots
+from tetractl_microscope.choice.dish_abilities import SettlesRobots, require_cell_tracker
+from tetractl_microscope.choice.scattered_cells import generate_cells
+from tetractl_microscope.choice.section import require_choice
 from tetractl_microscope.choice.turn_field import turn_field
 
 
@@ -49,25 +49,25 @@ def prepare(
     """
     plant = experiment.plant
     if isinstance(plant, RigSection):
-        return _in_a_dish(plant, experiment, clock, seed, supervision)
+        return _choose_in_lab(plant, experiment, clock, seed, supervision)
     if not isinstance(plant, SimSection):
         raise UsageError(f"a plant of type {plant.type} has no cells to choose the robots from")
     random = generator(seed, RandomStream.TRIAL_ROBOTS)
-    cells = scattered_cells(choice_of(experiment), experiment.setup, random)
-    chosen_experiment = with_robots(experiment, choose_cells(experiment, cells))
+    cells = generate_cells(require_choice(experiment), experiment.setup, random)
+    chosen_experiment = set_robots(experiment, choose_cells(experiment, cells))
     return PreparedTrial(
         chosen_experiment, plant.build(chosen_experiment.setup, clock, seed, supervision)
     )
 
 
-def _in_a_dish(
+def _choose_in_lab(
     lab: RigSection,
     experiment: Experiment,
     clock: Clock,
     seed: np.random.SeedSequence,
     supervision: LabSupervision,
 ) -> PreparedTrial:
-    """Open the lab, rotate the field to measure how cells respond, and choose the robots.
+    """Open a lab, rotate the field to measure how cells respond, and choose the robots.
 
     The field keeps rotating until the first direction is sent. After an error, the lab is closed.
     """
@@ -75,9 +75,9 @@ def _in_a_dish(
     rig.open()
     try:
         turned = int(seed.generate_state(1)[0])
-        cells = turn_field(rig, choice_of(experiment), turned, supervision)
+        cells = turn_field(rig, require_choice(experiment), turned, supervision)
         chosen = choose_cells(experiment, cells)
-        settled_experiment = with_robots(experiment, chosen)
+        settled_experiment = set_robots(experiment, chosen)
         settle(rig, settled_experiment.setup, chosen)
         return PreparedTrial(settled_experiment, lab.plant(rig, supervision))
     except BaseException:
@@ -96,5 +96,5 @@ def settle(rig: Rig, setup: Setup, cells: Sequence[RobotCandidate]) -> None:
     """
     if isinstance(rig.actuator, SettlesRobots):
         rig.actuator.settle(setup)
-    tracker_of(rig).settle(setup, [cell.number for cell in cells])
+    require_cell_tracker(rig).settle(setup, [cell.number for cell in cells])
     rig.settle(setup)

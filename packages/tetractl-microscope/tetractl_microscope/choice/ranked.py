@@ -8,15 +8,15 @@ import numpy as np
 
 from tetractl.spec.experiment import Experiment
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.choosing import rate_choice, with_robots
+from tetractl_microscope.choice.choosing import rate_choice, set_robots
 from tetractl_microscope.choice.closed_loop import (
     Noise,
     compute_mean_errors,
     linearise_plan,
     predict_end_covariance,
 )
-from tetractl_microscope.choice.first_plans import planner, plans
-from tetractl_microscope.choice.section import choice_of
+from tetractl_microscope.choice.first_plans import search_first_plans, select_planner
+from tetractl_microscope.choice.section import require_choice
 
 COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
 # for each round, the fraction of the choices that are compared, and of the plans that are used
@@ -40,7 +40,7 @@ class RankedChoice:
     ) -> None:
         self.cells = tuple(cells)
         self._errors: list[float] = []  # of plans that reach the targets
-        self._remaining_errors = self._predictions(with_robots(experiment, cells), noise)
+        self._remaining_errors = self._predictions(set_robots(experiment, cells), noise)
         self._tried_count = 0
 
     @staticmethod
@@ -50,9 +50,9 @@ class RankedChoice:
         Yields:
             The error, or None if the plan does not reach the targets.
         """
-        section = planner(trial)
+        section = select_planner(trial)
         problem = section.problem(trial.setup)
-        for plan in plans(section, trial.setup, trial.trials.seed, PLANS_MAX):
+        for plan in search_first_plans(section, trial.setup, trial.trials.seed, PLANS_MAX):
             if plan is None:
                 yield None
                 continue
@@ -116,12 +116,12 @@ def rank_choices(
     Returns:
         The choices of the last round, best first. Empty if there is no possible choice.
     """
-    choice = choice_of(experiment)
+    choice = require_choice(experiment)
     responding_cells = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     distinguishable = [
         chosen
         for chosen in combinations(responding_cells, choice.choose)
-        if not any(similar_pairs(chosen))
+        if not any(find_similar_pairs(chosen))
     ]
     sorted_choices = sorted(
         distinguishable,
@@ -145,7 +145,7 @@ def rank_choices(
 
 
 def _sort_key(candidate: RankedChoice) -> tuple[bool, bool, float]:
-    """Return the sort key of a choice. The best choice has the smallest key.
+    """Compute the sort key of a choice of cells. The best choice has the smallest key.
 
     Choices with a plan come first, then those without a cell near the edge, then small errors.
     """
@@ -153,7 +153,7 @@ def _sort_key(candidate: RankedChoice) -> tuple[bool, bool, float]:
     return math.isinf(candidate.error), is_uncertain, candidate.error
 
 
-def similar_pairs(
+def find_similar_pairs(
     cells: Sequence[RobotCandidate],
 ) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:
     """Yield pairs of cells whose turning rates are too similar to distinguish them after they meet.

@@ -9,14 +9,14 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.section import Choice
 
 CELLS_MIN = 6
-"""Number of cells, if the trial chooses no more than that: a few more than trials mostly choose."""
-SURVEY_ERROR = 0.03
+"""Minimum number of simulated cells: a few more than most trials choose."""
+SURVEY_RELATIVE_SD = 0.03
 """Relative standard deviation with which a survey measures a cell's turning rate a and speed."""
-EDGE = 1 / 8
-"""Width of the strip along each edge of the arena in which no cell is, as a part of the arena."""
+EDGE_FRACTION = 1 / 8
+"""Width of the strip along each edge of the arena without cells, as a fraction of the arena."""
 
 
-def scattered_cells(
+def generate_cells(
     choice: Choice, setup: Setup, random: np.random.Generator
 ) -> list[RobotCandidate]:
     """Generate random cells in the arena, with the errors with which a survey would measure them.
@@ -31,11 +31,11 @@ def scattered_cells(
     """
     arena = setup.arena
     count = max(CELLS_MIN, choice.choose)
-    across = EDGE * arena.width
-    up = EDGE * arena.height
+    across = EDGE_FRACTION * arena.width
+    edge_height = EDGE_FRACTION * arena.height
     # in this order: it is part of the result
     x = random.uniform(arena.left + across, arena.right - across, count)
-    y = random.uniform(arena.bottom + up, arena.top - up, count)
+    y = random.uniform(arena.bottom + edge_height, arena.top - edge_height, count)
     heading = random.uniform(-np.pi, np.pi, count)
     a = choice.a * np.exp(random.normal(0, A_LOG_SD, count))
     speed = choice.speed * np.exp(random.normal(0, SPEED_LOG_SD, count))
@@ -46,9 +46,9 @@ def scattered_cells(
             number=number,
             pose=pose,
             a=a_of_cell,
-            a_sd=SURVEY_ERROR * a_of_cell,
+            a_sd=SURVEY_RELATIVE_SD * a_of_cell,
             speed=speed_of_cell,
-            speed_sd=SURVEY_ERROR * speed_of_cell,
+            speed_sd=SURVEY_RELATIVE_SD * speed_of_cell,
         )
         for number, (pose, a_of_cell, speed_of_cell) in enumerate(cells, 1)
     ]

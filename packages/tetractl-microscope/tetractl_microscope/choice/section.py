@@ -36,7 +36,7 @@ class Ring(Model):
 
 
 class WantedCell(Model):
-    """A cell that a survey proposed; the trial finds the cell again by these values."""
+    """A cell that a survey proposed. The trial finds the cell again by these values."""
 
     a: Positive
     """Turning rate a of the cell [rad/s]."""
@@ -45,7 +45,7 @@ class WantedCell(Model):
 
 
 class Choice(TrialRobots):
-    """Robots that each trial finds at their present poses.
+    """Robots that each trial chooses among the cells of a dish.
 
     In the lab, the field rotates for `seconds`, and the camera measures each cell's response. The
     robots are then the cells with the most different turning rates a, or the `wanted` cells. In a
@@ -82,7 +82,7 @@ class Choice(TrialRobots):
     """
 
     found: bool = False
-    """Whether a trial has found its robots; the trial sets this in the spec that it logs."""
+    """Whether a trial has found its robots. The trial sets this field in the spec that it logs."""
 
     @model_validator(mode="after")
     def _fits(self) -> "Choice":
@@ -108,7 +108,7 @@ class Choice(TrialRobots):
         return self.found
 
     def sought(self) -> Self:
-        """Return a copy without the trial's result, as the spec gave it."""
+        """Return a copy without the robots that a trial has found, as in the original spec."""
         return self.model_copy(update={"found": False})
 
     @property
@@ -118,7 +118,7 @@ class Choice(TrialRobots):
         return [StandIn(f"cell {i}", (x, y), self.a, self.speed) for i, (x, y) in goals]
 
 
-def choice_of(experiment: Experiment) -> Choice:
+def require_choice(experiment: Experiment) -> Choice:
     """Return the rule by which an experiment's trials choose their robots.
 
     It is an `AssertionError` if the spec's robots are given instead.

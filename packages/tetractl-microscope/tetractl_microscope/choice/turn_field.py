@@ -11,14 +11,14 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.rig import Rig
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.dish_abilities import tracker_of
+from tetractl_microscope.choice.dish_abilities import require_cell_tracker
 from tetractl_microscope.choice.section import Choice
 
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
 
 
-def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
-    """Create a rotating field with which cells swim in circles.
+def create_rotating_field(turn_s: float, seed: int) -> Callable[[int], float]:
+    """Create a rotating field in which cells swim in circles.
 
     The field turns in steps of about a quarter turn, always in the same sense. The steps are of
     unequal angles, so that a cell's response shows both its turning rate a and its dipole's angle.
@@ -64,8 +64,8 @@ def turn_field(
             actuator fails, or at an emergency stop.
         KeyboardInterrupt: If the operator cancels.
     """
-    tracker = tracker_of(rig)
-    rig.loop.idle_direction = manoeuvre(choice.turn, seed)
+    tracker = require_cell_tracker(rig)
+    rig.loop.idle_direction = create_rotating_field(choice.turn, seed)
     numbers_near_wall: set[int] = set()
     start_ns = rig.clock.now()
     frames_before = rig.loop.frames.count

@@ -1,4 +1,4 @@
-"""The common direction as a magnetic field that turns cells.
+"""The `field` actuator: steers all cells by the direction of a common magnetic field.
 
 A cell turns towards the field's direction u by equation (3) of the paper, at a rate proportional to
 the field's strength B. The spec's turning rate a holds at the spec's `strength` B0, or the
@@ -32,14 +32,14 @@ from tetractl_microscope.coils.driver import (
     DriverStatus,
     FieldReply,
 )
-from tetractl_microscope.coils.section import FieldSection, Pair, approach
+from tetractl_microscope.coils.section import FieldSection, Pair, step_towards
 
 NO_CURRENT: Pair = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class RequestedCurrents:
-    """Currents that were requested from the driver.
+    """Coil currents that were requested from the driver.
 
     Attributes:
         currents: The currents in the x and y coils [A].
@@ -53,7 +53,7 @@ class RequestedCurrents:
 
 
 class FieldActuator:
-    """Turns N cells with a common magnetic field; see `tetractl.core.protocols.Actuator`.
+    """An actuator that turns N cells with a common magnetic field; see `Actuator`.
 
     No cell can be stopped: every transmission, even a stop, reports that all cells move at their
     own speed. The `outputs` of a transmission are the currents requested from the driver,
@@ -138,7 +138,7 @@ class FieldActuator:
                 action.direction, self._reference_mt, section.current_max_a
             )
             elapsed_ns = min(now_ns - self._requested.sent_ns, self.period_ns)
-            currents = approach(
+            currents = step_towards(
                 self._present_currents(now_ns), target, self._max_change(elapsed_ns)
             )
             x_ma, y_ma = (round(1000 * current) for current in currents)
@@ -176,7 +176,7 @@ class FieldActuator:
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
-        """Switch the field off, and check the driver; see `inspect`.
+        """Switch the field off, and check the driver; see `inspect_reply`.
 
         If the driver's port has failed, this is the only problem.
         """
@@ -184,7 +184,7 @@ class FieldActuator:
             reply = self.driver.ask()
         except AbortError as error:
             return Health(problems=(error.message,))
-        return inspect(reply, self.section, self._reference_mt)
+        return inspect_reply(reply, self.section, self._reference_mt)
 
     def _max_change(self, passed_ns: int) -> float:
         """Return the maximum change of a current [A] within a time [ns]."""
@@ -193,7 +193,7 @@ class FieldActuator:
     def _present_currents(self, now_ns: int) -> Pair:
         """Compute the driver's set points [A] at a time [ns]. Without commands, they fall to 0."""
         falling_ns = max(0, now_ns - self._requested.held_until_ns)
-        return approach(self._requested.currents, NO_CURRENT, self._max_change(falling_ns))
+        return step_towards(self._requested.currents, NO_CURRENT, self._max_change(falling_ns))
 
     def _transmission(
         self, action: Action, sent_ns: int, currents: Pair, headings: Floats
@@ -223,8 +223,8 @@ class FieldActuator:
         )
 
 
-def inspect(reply: FieldReply | None, section: FieldSection, needed_mt: float) -> Health:
-    """Check the driver's reply before a run.
+def inspect_reply(reply: FieldReply | None, section: FieldSection, needed_mt: float) -> Health:
+    """Check the reply of the current driver before a run.
 
     Args:
         reply: The reply. None if the driver does not reply.
@@ -299,7 +299,7 @@ def inspect(reply: FieldReply | None, section: FieldSection, needed_mt: float) -
         > supply_v
         == 0,
     }
-    return Health(_select_true(problems), _select_true(warnings), facts)
+    return Health(_select_true_messages(problems), _select_true_messages(warnings), facts)
 
 
 def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> str:
@@ -329,6 +329,6 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
     return f"sent {STOP_COUNT} stops"
 
 
-def _select_true(condition_by_message: dict[str, bool]) -> tuple[str, ...]:
+def _select_true_messages(condition_by_message: dict[str, bool]) -> tuple[str, ...]:
     """Return the messages whose condition holds, in the order of `condition_by_message`."""
     return tuple(message for message, is_true in condition_by_message.items() if is_true)

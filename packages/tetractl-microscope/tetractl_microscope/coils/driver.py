@@ -28,7 +28,7 @@ _REPLY = struct.Struct("<BBBBhhHhHHHIH")
 
 
 class DriverStatus(IntFlag):
-    """Status flags in the driver's reply."""
+    """Status flags in a reply of the current driver."""
 
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
@@ -39,7 +39,7 @@ class DriverStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class FieldCommand:
-    """A command to the driver. The driver ignores the currents without `Flag.RUN`.
+    """A command to the current driver. The driver ignores the currents without `Flag.RUN`.
 
     Attributes:
         sequence: Number of the command, modulo 256.
@@ -56,7 +56,7 @@ class FieldCommand:
 
 @dataclass(frozen=True, slots=True)
 class FieldReply:
-    """The driver's reply to a poll.
+    """A reply of the current driver to a poll.
 
     Attributes:
         sequence: Number of the command that polled it.
@@ -88,13 +88,13 @@ class FieldReply:
 
 
 def encode_command(command: FieldCommand) -> bytes:
-    """Encode a command, including the closing byte 00."""
+    """Encode a command to the current driver, including the closing byte 00."""
     parse_flags(command.flags)
     return pack_fields(_COMMAND, COMMAND, *astuple(command))
 
 
 def decode_command(frame: bytes) -> FieldCommand:
-    """Decode a command, given without the closing byte 00.
+    """Decode a command to the current driver, given without the closing byte 00.
 
     Raises:
         WireError: If the frame is not a valid command.
@@ -104,7 +104,9 @@ def decode_command(frame: bytes) -> FieldCommand:
 
 
 def decode_reply(frame: bytes) -> FieldReply:
-    """Decode a reply, given without the closing byte 00. Unknown status bits are ignored.
+    """Decode a reply of the current driver, given without the closing byte 00.
+
+    Unknown status bits are ignored.
 
     Raises:
         WireError: If the frame is not a valid reply.

@@ -20,8 +20,8 @@ from tetractl.spec.yaml.problems import Loc
 Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
 
 
-def approach(present: Pair, target: Pair, step_max: float) -> Pair:
-    """Return the currents after one step straight towards the wanted currents.
+def step_towards(present: Pair, target: Pair, step_max: float) -> Pair:
+    """Compute the coil currents after one step straight towards the target currents.
 
     Args:
         present: The present currents.
@@ -40,7 +40,7 @@ FRAMES_PER_WATCHDOG = 3
 
 
 class CoilPair(Model):
-    """One coil pair: the field along its axis is offset + gain * current."""
+    """A coil pair in a spec. The field along its axis is offset + gain * current."""
 
     gain_mt_a: Finite
     """Field per current [mT/A]; negative if the winding is reversed."""
@@ -56,7 +56,7 @@ class CoilPair(Model):
 
 
 class CoilsSection(Model):
-    """Two orthogonal coil pairs."""
+    """The two orthogonal coil pairs that make the field."""
 
     x: CoilPair
     """The pair whose axis is the spec's x axis turned by `rotation`."""

@@ -7,12 +7,12 @@ import numpy as np
 
 
 class SourceEndedError(Exception):
-    """The source has ended and delivers no more images. The message contains the reason."""
+    """An error: the source of images has ended. The message contains the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A received image.
+    """An image that was received from a source.
 
     Attributes:
         content: A JPEG file, or pixels: (height, width) in grey or (height, width, 3) in colour.
@@ -58,5 +58,5 @@ class Feed(Protocol):
         """
 
     def close(self) -> None:
-        """Release the source."""
+        """Release the source of images."""
         ...

@@ -1,4 +1,4 @@
-"""Splits the bytes of a multipart/x-mixed-replace stream into parts; never raises for bad bytes.
+"""Splits a multipart/x-mixed-replace stream into parts, and never raises for invalid bytes.
 
     --boundary CRLF  header lines CRLF  CRLF  body CRLF   --boundary CRLF ...
 
@@ -70,7 +70,7 @@ class Multipart:
         if head_end < 0:
             return False
         body_start = head_end + len(_BLANK)
-        length = _content_length(bytes(self._buffer[:head_end]))
+        length = _read_content_length(bytes(self._buffer[:head_end]))
         if length is not None and not 0 <= length <= BODY_MAX:
             return self._drop_part()
         body_end = self._buffer.find(self._boundary, max(body_start, self._scanned_count))
@@ -88,7 +88,7 @@ class Multipart:
         return True
 
     def _read_part_without_length(self, body_start: int, body_end: int) -> bool:
-        """Complete a part without a Content-Length if its end has arrived.
+        """Complete a part without a Content-Length header if its end has arrived.
 
         A part that is longer than BODY_MAX is dropped.
 
@@ -126,7 +126,7 @@ class Multipart:
         self._scanned_count = 0
 
 
-def _content_length(header: bytes) -> int | None:
+def _read_content_length(header: bytes) -> int | None:
     """Return the Content-Length of a part.
 
     The result is None if it is missing, and -1 if it is not a number or has more than 11

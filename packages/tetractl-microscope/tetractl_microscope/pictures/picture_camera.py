@@ -29,17 +29,17 @@ from tetractl_microscope.pictures.picture_section import PictureSection
 from tetractl_microscope.pictures.searches import (
     KEPT_SEARCHES,
     PictureSearch,
-    search_ms,
-    searched_hz,
-    stream_lines,
+    compute_image_rate_hz,
+    compute_median_search_ms,
+    describe_stream,
 )
-from tetractl_microscope.pictures.source import decoded
+from tetractl_microscope.pictures.source import decode_to_grey
 
 # Maximum wait for a thread to stop. A thread that runs longer ends with the process.
 THREAD_STOP_MAX_S = 2.0
 
-Join = Callable[[Callable[[bytes], None]], Feed]
-"""Opens a source in memory, which calls a function with each picture, a JPEG file."""
+OpenMemorySource = Callable[[Callable[[bytes], None]], Feed]
+"""Function that opens a source in memory, which calls a function with each image, as JPEG."""
 
 
 class PictureResult(Protocol):
@@ -56,7 +56,7 @@ class PictureResult(Protocol):
         ...
 
 
-R = TypeVar("R", bound=PictureResult)
+SearchResult = TypeVar("SearchResult", bound=PictureResult)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class NumberedPicture:
 
 
 class PictureQueue:
-    """A queue that holds one image; one thread puts images into it, another takes them out.
+    """A queue for one image: one thread puts images into the queue, and another takes them out.
 
     Attributes:
         skipped: Number of images of a live source that were replaced before they were searched.
@@ -121,7 +121,7 @@ class PictureQueue:
         return self._closed
 
 
-class PictureSearches(Generic[R]):
+class PictureSearches(Generic[SearchResult]):
     """The results of the searches of images, and the reason why no more will follow.
 
     The camera's threads write it, and the program's own thread reads it, under one lock
@@ -137,10 +137,10 @@ class PictureSearches(Generic[R]):
         self.changed = threading.Condition()
         self.end_reason = ""
         self.failure: Exception | None = None
-        self._frames: deque[tuple[CameraFrame, R]] = deque(maxlen=QUEUE_MAX)
-        self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
+        self._frames: deque[tuple[CameraFrame, SearchResult]] = deque(maxlen=QUEUE_MAX)
+        self._last: deque[PictureSearch[SearchResult]] = deque(maxlen=KEPT_SEARCHES)
 
-    def add(self, frame: CameraFrame, search: PictureSearch[R]) -> None:
+    def add(self, frame: CameraFrame, search: PictureSearch[SearchResult]) -> None:
         """Add a camera frame, and the search of the image in which its poses were found."""
         with self.changed:
             self._frames.append((frame, search.result))
@@ -148,7 +148,7 @@ class PictureSearches(Generic[R]):
             self.changed.notify_all()
 
     def end(self, reason: str) -> None:
-        """Record why no more images arrive, unless an error was recorded before.
+        """Record that no more images arrive, and why, unless an error was recorded before.
 
         Waiting threads are woken in both cases.
         """
@@ -164,7 +164,7 @@ class PictureSearches(Generic[R]):
             self.failure = error
             self.changed.notify_all()
 
-    def take_frames(self) -> list[tuple[CameraFrame, R]]:
+    def take_frames(self) -> list[tuple[CameraFrame, SearchResult]]:
         """Return the frames since the last call, oldest first, each with its result.
 
         If an unexpected error has ended the reading or the search, it is raised here.
@@ -174,7 +174,7 @@ class PictureSearches(Generic[R]):
         with self.changed:
             return take_all(self._frames)
 
-    def last(self) -> tuple[PictureSearch[R], ...]:
+    def last(self) -> tuple[PictureSearch[SearchResult], ...]:
         """Return the last KEPT_SEARCHES searches, or fewer at the start, oldest first."""
         with self.changed:
             return tuple(self._last)
@@ -185,7 +185,7 @@ class PictureSearches(Generic[R]):
             return self._last[-1].number if self._last else 0
 
 
-class PictureCamera(ABC, Generic[R]):
+class PictureCamera(ABC, Generic[SearchResult]):
     """Base class of cameras that track robots in images. Subclasses implement `_see` and `_health`.
 
     A frame has the number of its image: if a live source is faster than the search, numbers are
@@ -208,7 +208,7 @@ class PictureCamera(ABC, Generic[R]):
         section: PictureSection,
         clock: Clock,
         wake: Callable[[], None],
-        join: Join | None = None,
+        join: OpenMemorySource | None = None,
     ) -> None:
         self._source = section
         self._join = join
@@ -217,15 +217,15 @@ class PictureCamera(ABC, Generic[R]):
         self._feed: Feed | None = None
         self._threads: list[threading.Thread] = []
         self._queue = PictureQueue()
-        self._searches = PictureSearches[R]()
+        self._searches = PictureSearches[SearchResult]()
         self._size: tuple[int, ...] | None = None  # height and width of the first picture
         self._newest_picture: GreyImage | None = None
         self._undecoded_count = 0  # number of pictures that could not be decoded
         self._memory_count = 0  # number of pictures of a source in memory
 
     @abstractmethod
-    def _see(self, picture: GreyImage, exposed_ns: int) -> R | None:
-        """Search an image.
+    def _see(self, picture: GreyImage, exposed_ns: int) -> SearchResult | None:
+        """Search an image for robots and other objects.
 
         Args:
             picture: The grey image, shape (height, width).
@@ -236,7 +236,7 @@ class PictureCamera(ABC, Generic[R]):
         """
 
     @abstractmethod
-    def _health(self, searches: Sequence[PictureSearch[R]]) -> Health:
+    def _health(self, searches: Sequence[PictureSearch[SearchResult]]) -> Health:
         """Check what was found in the given images: problems, warnings and facts."""
 
     def check(self) -> Health:
@@ -252,7 +252,7 @@ class PictureCamera(ABC, Generic[R]):
             self._source.connect,
         )
         searches = self._searches.last()
-        problems, warnings = stream_lines(
+        problems, warnings = describe_stream(
             searches,
             self._source.source_name,
             self._searches.end_reason,
@@ -336,16 +336,16 @@ class PictureCamera(ABC, Generic[R]):
         for thread in self._threads:
             thread.join(THREAD_STOP_MAX_S)
 
-    def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
-        """Describe resolution, image rate and search time. Unknown ones are left out."""
+    def _stream_facts(self, searches: Sequence[PictureSearch[SearchResult]]) -> dict[str, str]:
+        """Describe the resolution, image rate and search time, as far as they are known."""
         facts: dict[str, str] = {}
         if self._size is not None:
             facts["resolution"] = f"{self._size[1]}x{self._size[0]}"
-        rate = searched_hz(searches)
+        rate = compute_image_rate_hz(searches)
         if rate is not None:
             facts["rate"] = f"{rate:.1f} Hz"
         if searches:
-            facts["search"] = f"{search_ms(searches):.1f} ms"
+            facts["search"] = f"{compute_median_search_ms(searches):.1f} ms"
         return facts
 
     def _read_source(self, feed: Feed) -> None:
@@ -395,7 +395,7 @@ class PictureCamera(ABC, Generic[R]):
         began_ns = self._clock.now()
         exposed_ns = picture.received_ns - round(self._source.latency * SECOND)
         try:
-            grey = decoded(picture, self._size)
+            grey = decode_to_grey(picture, self._size)
             if grey is None or (self._size is not None and grey.shape != self._size):
                 self._undecoded_count += 1  # a picture of another size does not fit the calibration
                 return
@@ -417,9 +417,9 @@ class PictureCamera(ABC, Generic[R]):
         self._wake()
 
     def _repeats(self, grey: GreyImage) -> bool:
-        """Decide whether an image repeats the newest one to the last bit.
+        """Check whether an image is equal to the previous image.
 
-        An image of one grey level, such as a black one, never does.
+        An image of one grey level, such as a black image, never counts as a repetition.
         """
         newest = self._newest_picture
         return newest is not None and np.array_equal(newest, grey) and int(np.ptp(grey)) > 0
@@ -432,7 +432,7 @@ class PictureCamera(ABC, Generic[R]):
             timeout_s: Maximum time to wait [s].
 
         Returns:
-            Whether it holds. False after the timeout.
+            Whether the condition holds. False after the timeout.
         """
         if self._join is not None:
             return wait_for(self._clock, condition, timeout_s)

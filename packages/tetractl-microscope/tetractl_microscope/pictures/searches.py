@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class PictureSearch(Generic[S]):
-    """The search of one image.
+    """The search of one image for robots, with its time and its result.
 
     Attributes:
         number: Number of the image.
@@ -31,17 +31,17 @@ class PictureSearch(Generic[S]):
     result: S
 
 
-def stated(values: Iterable[T | None]) -> list[T]:
-    """Return the given values without those that are None, in their order."""
+def drop_none(values: Iterable[T | None]) -> list[T]:
+    """Return values without None, in their order."""
     return [value for value in values if value is not None]
 
 
-def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
+def compute_median_search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
     """Compute the median time that the search of one image took [ms], for one or more searches."""
     return statistics.median(search.search_ns for search in searches) / 1e6
 
 
-def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
+def compute_image_rate_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
     """Compute the rate of images [Hz] from their numbers, including images that were not searched.
 
     The result is None if it is unknown.
@@ -50,7 +50,7 @@ def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
     return compute_rate_hz([search.number for search in searches], received_ns)
 
 
-def stream_lines(
+def describe_stream(
     searches: Sequence[PictureSearch[Any]],
     source: str,
     end_reason: str,
@@ -58,7 +58,7 @@ def stream_lines(
     declared_hz: float | None,
     damaged: int,
 ) -> tuple[list[str], list[str]]:
-    """Describe problems and warnings of a stream of images, for display.
+    """Describe the problems and warnings of a stream of images for display.
 
     Args:
         searches: The searches of the newest images.
@@ -77,7 +77,7 @@ def stream_lines(
         problems.append(end_reason)
     elif not searches or now_ns - searches[-1].received_ns > SECOND // 2:
         problems.append(f"no images come from {source} any more")
-    rate = searched_hz(searches)
+    rate = compute_image_rate_hz(searches)
     if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
         warnings.append(
             f"only {rate:.0f} images per second come instead of {declared_hz:.0f}: is there too "
@@ -91,7 +91,7 @@ def stream_lines(
     if came > len(searches):
         warnings.append(
             f"{came - len(searches)} of the last {came} images were not searched, because "
-            f"searching one takes {search_ms(searches):.0f} ms"
+            f"searching one takes {compute_median_search_ms(searches):.0f} ms"
         )
     if damaged:
         warnings.append(f"{damaged} images were damaged")

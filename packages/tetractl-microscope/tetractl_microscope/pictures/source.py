@@ -1,4 +1,4 @@
-"""Sources of images: a camera at this computer, a film, and a network camera."""
+"""Reads images from a camera at this computer, a video file, or a network camera."""
 
 import http.client
 import io
@@ -38,8 +38,8 @@ INSTALL_FILMS = "pip install './packages/tetractl-microscope[films]'"
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 
-def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> GreyImage | None:
-    """Decode an image to grey levels.
+def decode_to_grey(picture: Picture, size: tuple[int, ...] | None = None) -> GreyImage | None:
+    """Decode an image of a source to grey levels.
 
     Args:
         picture: The image: pixels, or a JPEG file.
@@ -74,7 +74,7 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> GreyImage 
 
 
 class DeviceFeed(Feed):
-    """A camera at this computer, opened by OpenCV. Not tested with a real camera.
+    """Images of a camera at this computer, read with OpenCV. Not tested with a real camera.
 
     Args:
         source: The fields of the source in the spec.
@@ -149,7 +149,7 @@ class DeviceFeed(Feed):
 
 
 class FileFeed(Feed):
-    """A film that is read with imageio, and played at its own rate or at the rate in the spec.
+    """Images of a video file, read with imageio and played at its own rate or the spec's rate.
 
     Args:
         source: The fields of the source in the spec.
@@ -178,7 +178,7 @@ class FileFeed(Feed):
         self._film: Any = None
         try:
             self._film = imageio.imopen(source.path, "r")
-            self._images = _single_images(self._film)
+            self._images = _split_images(self._film)
             first_image = next(self._images)
             own_rate_hz = self._film.metadata().get("fps")
         except (Exception, StopIteration) as error:  # imageio does not document what it raises
@@ -199,7 +199,7 @@ class FileFeed(Feed):
         self._read_count = 0
 
     def read(self) -> Picture:
-        """Wait until the next image of the film is due, and return it.
+        """Wait until the next image of the video is due, and return this image.
 
         Raises:
             SourceEndedError: If the film has ended.
@@ -230,15 +230,15 @@ class FileFeed(Feed):
         return np.clip(levels, 0, 255).astype(np.uint8)
 
 
-def _single_images(film: Any) -> Iterator[np.ndarray]:
-    """Yield the images of a film one by one. An array that holds several images is split."""
+def _split_images(film: Any) -> Iterator[np.ndarray]:
+    """Yield the images of a video one by one. An array that holds several images is split."""
     for image in film.iter():
         is_stack = image.ndim > 2 and image.shape[-1] not in (3, 4)
         yield from image if is_stack else [image]
 
 
 class MjpegFeed(Feed):
-    """The multipart stream of a network camera, read over HTTP.
+    """Images of a network camera, read over HTTP from its multipart stream.
 
     Args:
         source: The fields of the source in the spec.
@@ -299,7 +299,7 @@ class MjpegFeed(Feed):
 
     @property
     def damaged(self) -> int:
-        """Number of parts that could not be decoded."""
+        """Number of parts of the stream that could not be decoded."""
         return self._parts.damaged
 
     def read(self) -> Picture:

@@ -66,7 +66,7 @@ RESPONSE_KEYS = "a_rad_s", "bias_rad"
 """Keys of the quantities that are averaged only over cells that respond to the field."""
 
 
-def cell_tables(record: Record) -> list[Table]:
+def create_cell_tables(record: Record) -> list[Table]:
     """Create the printed tables of cells: one row for each cell, and the mean of each quantity.
 
     Columns without any value are left out, and so are the means of fewer than two cells.
@@ -78,7 +78,7 @@ def cell_tables(record: Record) -> list[Table]:
         if quantity.heading and not {UNKNOWN_TEXT}.issuperset(cell_texts):
             columns.append(Column(quantity.heading, cell_texts, quantity.unit))
     note = "\n".join(record["notes"])
-    means = mean_tables(cells)
+    means = create_mean_tables(cells)
     return [Table("Cells, with 95 % intervals", tuple(columns), note), *means]
 
 
@@ -95,7 +95,7 @@ def format_entry(entry: Any, decimals: int) -> str:
     return create_decimal_format(decimals)(entry)
 
 
-def value_of(entry: Any) -> float | None:
+def extract_value(entry: Any) -> float | None:
     """Extract a cell's value of one quantity from an entry with or without an interval.
 
     The result is None if the value is unknown.
@@ -103,7 +103,7 @@ def value_of(entry: Any) -> float | None:
     return entry["value"] if isinstance(entry, Mapping) else entry
 
 
-def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
+def find_known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
     """Find the cells for which a quantity is known, and the values of this quantity.
 
     For a and bias, only cells that respond to the field count.
@@ -116,12 +116,12 @@ def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[
         The records of these cells, and their values.
     """
     responding = [cell for cell in cells if key not in RESPONSE_KEYS or cell.get("magnetised")]
-    with_values = [(cell, value_of(cell.get(key))) for cell in responding]
+    with_values = [(cell, extract_value(cell.get(key))) for cell in responding]
     known_pairs = [(cell, value) for cell, value in with_values if value is not None]
     return [cell for cell, _ in known_pairs], [value for _, value in known_pairs]
 
 
-def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
+def compute_cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     """Compute the mean of cells' values, weighted by the time for which each cell was seen.
 
     A cell that was tracked under several numbers in turn occurs several times in `cells`.
@@ -155,7 +155,7 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     return known_distribution(n_cells, mean, std, interval)
 
 
-def mean_tables(cells: list[Record]) -> list[Table]:
+def create_mean_tables(cells: list[Record]) -> list[Table]:
     """Create the table of each quantity's mean over the cells, with its 95 % interval.
 
     The result is an empty list for fewer than two cells, or if no cell has a value. Quantities
@@ -163,9 +163,9 @@ def mean_tables(cells: list[Record]) -> list[Table]:
     """
     rows = []
     for quantity in QUANTITIES if len(cells) > 1 else ():
-        known_cells, values = known_values(cells, quantity.key)
+        known_cells, values = find_known_values(cells, quantity.key)
         if quantity.averaged and quantity.heading and values:
-            mean = cell_mean(known_cells, values)
+            mean = compute_cell_mean(known_cells, values)
             format_number = create_decimal_format(quantity.decimals)
             name = quantity.heading
             if quantity.unit:
@@ -181,7 +181,7 @@ def mean_tables(cells: list[Record]) -> list[Table]:
     return [table] if rows else []
 
 
-def cell_data(record: Record) -> Table:
+def create_data_table(record: Record) -> Table:
     """Create the table for data files: one row for each cell, and two columns for each interval.
 
     The two columns are the lower and the upper end of the interval. Unknown values and ends are
@@ -191,7 +191,7 @@ def cell_data(record: Record) -> Table:
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:
         entries = [cell.get(quantity.key) for cell in cells]
-        values = [value_of(entry) for entry in entries]
+        values = [extract_value(entry) for entry in entries]
         columns.append(Column(quantity.key, values))
         for i, bound_name in enumerate(("low", "high") if quantity.interval else ()):
             bounds = [entry["ci95"][i] if isinstance(entry, Mapping) else None for entry in entries]

@@ -37,7 +37,7 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 from tetractl_microscope.choice.candidate import RESPONDS
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.tracks.field_file import no_field
-from tetractl_microscope.tracks.velocities import distance_um, vsl_um_s
+from tetractl_microscope.tracks.velocities import compute_vsl_um_s, measure_path_um
 
 START_DURATION_S = 0.5  # duration of the start of a track, from which its first heading is computed
 START_PLACES_MIN = 5  # minimum number of places in the start of a track
@@ -156,16 +156,16 @@ def fit_tracks(
         period_s: Usual time between two images [s]. If images are rarer than IMAGE_RATE_MIN_HZ,
             only the velocity along the straight line and the distance are computed.
     """
-    fits: list[_Fit | None] = [None] * len(paths)
+    cell_fits: list[_Fit | None] = [None] * len(paths)
     if 1 / period_s >= IMAGE_RATE_MIN_HZ:
         measured_tracks = [_MeasuredTrack.from_path(path, organism, field) for path in paths]
-        fits = [None if track is None else _Fit.fit(track) for track in measured_tracks]
-    known_fits = [fit for fit in fits if fit is not None]
+        cell_fits = [None if track is None else _Fit.fit(track) for track in measured_tracks]
+    known_fits = [fit for fit in cell_fits if fit is not None]
     misfit_sum = sum(min(fit.misfit, MISFIT_MAX * fit.parts) for fit in known_fits)
     usual_misfit = max(1.0, misfit_sum / max(sum(fit.parts for fit in known_fits), 1))
     return tuple(
         _summarise(path, fit, field is not None, usual_misfit, period_s)
-        for path, fit in zip(paths, fits, strict=True)
+        for path, fit in zip(paths, cell_fits, strict=True)
     )
 
 
@@ -236,8 +236,8 @@ class _MeasuredTrack:
         for start_s, end_s in pairwise(path.times.tolist()):
             pieces += pieces_between(start_s, end_s)
             piece_starts.append(len(pieces))
-        field_of = np.array(pieces).reshape(-1, 3), np.array(piece_starts)
-        return cls(values, deviations, *field_of, mean, covariance, model)
+        field_arrays = np.array(pieces).reshape(-1, 3), np.array(piece_starts)
+        return cls(values, deviations, *field_arrays, mean, covariance, model)
 
     def likelihood(self, first_states: Floats) -> Floats:
         """Compute the log-likelihood of V variants of the first state (V, n), shape (V,)."""
@@ -335,7 +335,7 @@ class _Fit:
         return cls(last_state, sd, states, bodies, misfit, n_parts - 1)
 
 
-def _interval(value: float, sd: float, relative_sd: float) -> SampleInterval:
+def _compute_interval(value: float, sd: float, relative_sd: float) -> SampleInterval:
     """Compute a value's 95 % interval from an absolute and a relative standard deviation."""
     value = float(value)
     half_width = float(Z_95 * math.hypot(sd, relative_sd * value))
@@ -355,7 +355,7 @@ def _summarise(
         period_s: Usual time between two images [s].
     """
     between_s = float(path.times[-1] - path.times[0])
-    swum_um = distance_um(path.places)
+    swum_um = measure_path_um(path.places)
     speed_um_s = a_rad_s = bias_rad = magnetised = None
     speed_sd_um_s = sway_rad = helix_hz = helix_um = math.nan
     if fit is not None:
@@ -365,7 +365,7 @@ def _summarise(
             USUAL_MISFIT_WEIGHT + fit.parts
         )
         sd_factor = math.sqrt(max(1.0, misfit))
-        speed_um_s = _interval(
+        speed_um_s = _compute_interval(
             swum_um / between_s, sd_factor * float(fit.sd[PATH_LENGTH]) / between_s, SPEED_ERROR
         )
         speed_sd_um_s = float(states[:, SPEED].std())
@@ -373,8 +373,8 @@ def _summarise(
         helix_hz = float(np.median(states[:, RATE])) / math.tau
         helix_um = float(np.median(np.hypot(states[:, C], states[:, S])))
         if is_field_known:
-            a_rad_s = _interval(fit.mean[A], sd_factor * fit.sd[A], A_ERROR)
-            bias_rad = _interval(fit.mean[BIAS], sd_factor * fit.sd[BIAS], 0.0)
+            a_rad_s = _compute_interval(fit.mean[A], sd_factor * fit.sd[A], A_ERROR)
+            bias_rad = _compute_interval(fit.mean[BIAS], sd_factor * fit.sd[BIAS], 0.0)
             magnetised = bool(fit.mean[A] > RESPONDS * sd_factor * fit.sd[A])
     return CellSummary(
         cell=path.number,
@@ -383,7 +383,7 @@ def _summarise(
         pictures=len(path.times),
         speed_um_s=speed_um_s,
         speed_sd_um_s=speed_sd_um_s,
-        vsl_um_s=vsl_um_s(path.times, path.places),
+        vsl_um_s=compute_vsl_um_s(path.times, path.places),
         path_um=swum_um,
         sway_rad=sway_rad,
         helix_hz=helix_hz,

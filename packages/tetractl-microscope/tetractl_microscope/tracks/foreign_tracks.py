@@ -128,7 +128,7 @@ class SpotTrack:
     rows: Floats
 
 
-def spot_tracks(
+def read_spot_tracks(
     path: Path, um_px: float | None, rate_hz: float | None, remarks: list[str]
 ) -> list[SpotTrack]:
     """Read the tracks of cells from a table or a graph of another program.
@@ -146,12 +146,12 @@ def spot_tracks(
         UsageError: If the table is invalid, or if the scale or rate is missing or has no meaning.
         AbortError: If software for GEFF graphs is not installed.
     """
-    spots = _read_graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
-    um_per_unit = _unit_size(
+    spots = _read_graph(path) if path.is_dir() else _read_spot_table(path, rate_hz, remarks)
+    um_per_unit = _find_unit_size(
         path, "--scale", "the file gives places in a unit of length", um_px, spots.x_step
     )
     period_s = None if rate_hz is None else 1 / rate_hz
-    s_per_unit = _unit_size(path, "--rate", "it states times", period_s, spots.time)
+    s_per_unit = _find_unit_size(path, "--rate", "it states times", period_s, spots.time)
     missing = list[str]()
     if um_per_unit is None:
         missing.append("a unit of length")
@@ -172,7 +172,7 @@ def spot_tracks(
     return tracks
 
 
-def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
+def _read_spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
     """Read the spots of all tracks from a table of another program.
 
     The times come from a column with a unit of time. Without such a column, or if a rate is given,
@@ -185,7 +185,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     first_row = next(rows, None)
     if first_row is None:
         raise UsageError(f"{path}: the file has no rows of data")
-    quantities = {header: _name_and_unit(header) for header in first_row.cells}
+    quantities = {header: _split_name_and_unit(header) for header in first_row.cells}
     word_headers = [header for header, (name, _) in quantities.items() if name == HAS_WORD_ROWS]
     while first_row and word_headers and not is_number(first_row.cells[word_headers[0]]):
         for header, cell in first_row.cells.items():
@@ -218,7 +218,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         if "time" not in values:
             _require_whole(path, headers["frame"], values["frame"])
             _warn_if_sparse(path, headers["frame"], values["frame"], remarks)
-        time_values = _from_first_picture(path, values["frame"], remarks)
+        time_values = _count_from_first_image(path, values["frame"], remarks)
         time_step = AxisStep()
         if "time" in values and rate_hz is not None:
             _warn_of_other_times(path, values["time"], time_values / rate_hz, rate_hz, remarks)
@@ -236,7 +236,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     )
 
 
-def _name_and_unit(header: str) -> tuple[str, str]:
+def _split_name_and_unit(header: str) -> tuple[str, str]:
     """Split the header of a column into its name, with _ for a blank, and its unit.
 
     The unit is "" if the header contains none.
@@ -322,7 +322,7 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
         raise UsageError(problem, "number the first frame of the video 0")
 
 
-def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:
+def _count_from_first_image(path: Path, frames: Floats, remarks: list[str]) -> Floats:
     """Count images from 0 if a table counts them from 1, so that the first image is at time 0.
 
     Programs that count from 0 almost always find something in that image. A table without 0
@@ -386,7 +386,7 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
         )
 
 
-def _unit_size(
+def _find_unit_size(
     path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
     """Find the size of one unit of a column [um or s], from an option or from the table.
@@ -437,7 +437,8 @@ def _read_graph(path: Path) -> SpotTable:
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
         raise UsageError(
-            f"{path}: cannot be read as a GEFF graph with t, x and y: {_problem_of(error)}",
+            f"{path}: cannot be read as a GEFF graph with t, x and y: "
+            f"{_describe_library_error(error)}",
             "export the tracks again with a newer version of the program that wrote them, or "
             "as CSV",
         ) from error
@@ -457,15 +458,15 @@ def _read_graph(path: Path) -> SpotTable:
     links = coo_array((np.ones(has_single_successor.sum()), edge_ends), (count, count))
     _, track = connected_components(links, directed=False)
     time, x, y = axes
-    x_step = _axis_step(x, MICROMETRES)
-    y_step = _axis_step(y, MICROMETRES)
+    x_step = _find_axis_step(x, MICROMETRES)
+    y_step = _find_axis_step(y, MICROMETRES)
     y_to_x_ratio = y_step.size / x_step.size if x_step.size and y_step.size else 1.0
     return SpotTable(
-        np.column_stack([track + 1, *nodes]), x_step, _axis_step(time, SECONDS), y_to_x_ratio
+        np.column_stack([track + 1, *nodes]), x_step, _find_axis_step(time, SECONDS), y_to_x_ratio
     )
 
 
-def _problem_of(error: Exception) -> str:
+def _describe_library_error(error: Exception) -> str:
     """Describe an error of a library in one short line.
 
     The line has at most ERROR_CHARACTERS_MAX characters. If the error comes from pydantic, only its
@@ -483,7 +484,7 @@ def _problem_of(error: Exception) -> str:
     return printable(" ".join(described), ERROR_CHARACTERS_MAX)
 
 
-def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
+def _find_axes(stated_axes: Sequence[Any], names: Iterable[str]) -> list[Any]:
     """Find the axes of time, x and y of a GEFF graph.
 
     The axes are found by their types in the metadata. If they have no types, they are found by
@@ -491,8 +492,8 @@ def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
     Among several space axes, x and y are the axes whose names end in x and y. If no names do, they
     are the last two axes, because images have the order y, x.
     """
-    time_axes = [axis for axis in stated if axis.type == "time"]
-    space_axes = [axis for axis in stated if axis.type == "space"]
+    time_axes = [axis for axis in stated_axes if axis.type == "time"]
+    space_axes = [axis for axis in stated_axes if axis.type == "space"]
     if time_axes and len(space_axes) >= 2:
         by_last_letter = {axis.name.lower()[-1:]: axis for axis in space_axes}
         *_, y, x = space_axes
@@ -501,7 +502,7 @@ def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
             if {"x", "y"} <= set(by_last_letter)
             else [time_axes[0], x, y]
         )
-    named_axes = [*stated] or [
+    named_axes = [*stated_axes] or [
         SimpleNamespace(name=name, unit="", scale=None, scaled_unit="") for name in names
     ]
     by_name = {axis.name.lower(): axis for axis in named_axes}
@@ -510,16 +511,16 @@ def _find_axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
         found_axes += [by_name[name] for name in axis_names if name in by_name][:1]
     if len(found_axes) < len(AXIS_NAMES):
         listed_names = ", ".join(axis.name for axis in named_axes)
-        has_types = "no axis has a type"
+        missing_types = "no axis has a type"
         if time_axes:
-            has_types = "no two axes have the type space"
+            missing_types = "no two axes have the type space"
         elif space_axes:
-            has_types = "no axis has the type time"
-        raise ValueError(f"{has_types}; the names of the axes are {listed_names}")
+            missing_types = "no axis has the type time"
+        raise ValueError(f"{missing_types}; the names of the axes are {listed_names}")
     return found_axes
 
 
-def _axis_step(axis: Any, units: Mapping[str, float]) -> AxisStep:
+def _find_axis_step(axis: Any, units: Mapping[str, float]) -> AxisStep:
     """Find the size of one unit along an axis of a GEFF graph from its scale and units.
 
     The size is None if no unit is known.

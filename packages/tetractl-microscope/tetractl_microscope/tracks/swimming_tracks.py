@@ -151,7 +151,9 @@ def select_swimming_tracks(
     return CellTracks(paths, period_s, (first_s, last_s), tuple(remarks))
 
 
-def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -> tuple[str, ...]:
+def describe_moving_stage(
+    paths: Sequence[CellPath], field: FieldRecord | None = None
+) -> tuple[str, ...]:
     """Warn if all cells move together, as objects do on a moving stage or in a flow.
 
     Without a field, each cell swims in its own direction, so the mean of their velocities is small.
@@ -165,7 +167,7 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
         One warning, or none.
     """
     velocities = np.array(
-        [(p.places[-1] - p.places[0]) / (p.times[-1] - p.times[0]) for p in paths]
+        [(path.places[-1] - path.places[0]) / (path.times[-1] - path.times[0]) for path in paths]
     )
     if len(velocities) < STAGE_CELLS_MIN:
         return ()
@@ -249,12 +251,12 @@ def create_track_record(
     notes = [note]
     cell_items = [cell.items() for cell in summaries]
     turning_names: list[str] = []
-    for item in cell_items:
-        speed = item["speed_um_s"]
+    for cell_item in cell_items:
+        speed = cell_item["speed_um_s"]
         # the speed along the axis of a helix is at least the straight-line velocity
-        if speed is not None and speed["ci95"][1] < HELIX_SPEED_RATIO_MIN * item["vsl_um_s"]:
-            item.update(dict.fromkeys(HELIX_KEYS))
-            turning_names.append(str(item["cell"]))
+        if speed is not None and speed["ci95"][1] < HELIX_SPEED_RATIO_MIN * cell_item["vsl_um_s"]:
+            cell_item.update(dict.fromkeys(HELIX_KEYS))
+            turning_names.append(str(cell_item["cell"]))
     if turning_names:
         listed_names = _list_cells(turning_names)
         notes.append(

@@ -9,7 +9,7 @@ from tetractl.core.poses import Floats
 WINDOW_S = 1.0  # duration of the parts of a track whose velocities are averaged [s]
 
 
-def vsl_um_s(times: Floats, places: Floats) -> float | None:
+def compute_vsl_um_s(times: Floats, places: Floats) -> float | None:
     """Compute the straight-line velocity (VSL) of a cell along its track [um/s].
 
     It is defined in the WHO laboratory manual for the examination of human semen, 6th edition,
@@ -26,7 +26,7 @@ def vsl_um_s(times: Floats, places: Floats) -> float | None:
     if len(times) < 2:
         return None
     velocities = [
-        distance_um(places[[start, stop]]) / (times[stop] - times[start])
+        measure_path_um(places[[start, stop]]) / (times[stop] - times[start])
         for start, stop in pairwise(_find_part_ends(times))
     ]
     return float(np.mean(velocities))
@@ -46,7 +46,7 @@ def _find_part_ends(times: Floats) -> list[int]:
     return part_ends if len(part_ends) > 1 else [0, len(times) - 1]
 
 
-def distance_um(places: Floats) -> float:
+def measure_path_um(places: Floats) -> float:
     """Compute the length of a path through positions (K, 2) [um]. It is 0 for a single position."""
     steps = np.diff(places, axis=0)
     return float(np.linalg.norm(steps, axis=1).sum())

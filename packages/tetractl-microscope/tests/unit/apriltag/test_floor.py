@@ -12,8 +12,8 @@ from tetractl_microscope.apriltag.floor import (
     MISFIT_MM,
     MOVED_PX,
     Floor,
-    calibrate,
-    floor_corners,
+    calibrate_camera,
+    compute_floor_corners,
 )
 from tetractl_microscope.apriltag.section import FloorTag, Lens
 
@@ -26,7 +26,7 @@ TAGS = [
     FloorTag(tag=50 + number, at=at, size_mm=120.0, heading=0.4 * number)
     for number, at in enumerate(AT)
 ]
-PLACES = np.array([floor_corners(tag, MM) for tag in TAGS])
+PLACES = np.array([compute_floor_corners(tag, MM) for tag in TAGS])
 LENS = Lens(focal_px=FOCAL_PX)
 
 
@@ -59,7 +59,7 @@ def seen_by(pixels):
 
 @given(st.floats(-math.pi, math.pi), st.floats(10, 300))
 def test_a_floor_tag_is_a_square_at_its_place_read_in_its_direction(heading, size_mm):
-    top_left, top_right, low_right, low_left = floor_corners(
+    top_left, top_right, low_right, low_left = compute_floor_corners(
         FloorTag(tag=1, at=(300, 500), size_mm=size_mm, heading=heading), MM
     )
     middle = (top_left + low_right) / 2
@@ -80,7 +80,7 @@ def test_a_floor_tag_is_a_square_at_its_place_read_in_its_direction(heading, siz
 @settings(max_examples=25)
 def test_with_a_known_lens_places_at_any_height_are_found(x, y, height, away):
     pixels = camera(position=(1.0 + away[0], 0.8 + away[1], away[2]))
-    plane = calibrate(pixels(on_floor(PLACES)), PLACES, SIZE, LENS)
+    plane = calibrate_camera(pixels(on_floor(PLACES)), PLACES, SIZE, LENS)
     seen = pixels(np.array([[x, y, height]]))
     assert plane.locate(seen, height) == pytest.approx(np.array([[x, y]]), abs=2e-4)
     assert plane.camera_height_mm == pytest.approx(1000 * away[2], abs=1.0)
@@ -92,7 +92,7 @@ def test_with_a_known_lens_places_at_any_height_are_found(x, y, height, away):
 @pytest.mark.parametrize(("focal_px", "bend"), [(900.0, 0.0), (1100.0, -0.15), (1400.0, 0.05)])
 def test_an_unknown_lens_is_fitted_to_a_slanted_view(focal_px, bend):
     pixels = camera(focal_px=focal_px, bend=bend)
-    plane = calibrate(pixels(on_floor(PLACES)), PLACES, SIZE, None, 0.1)
+    plane = calibrate_camera(pixels(on_floor(PLACES)), PLACES, SIZE, None, 0.1)
     assert plane.focal_px == pytest.approx(focal_px, rel=0.02)
     assert plane.distortion[0] == pytest.approx(bend, abs=0.03)
     assert plane.error_mm < 0.3
@@ -104,8 +104,8 @@ def test_an_unknown_lens_is_fitted_to_a_slanted_view(focal_px, bend):
 
 def test_straight_down_a_lens_is_in_doubt_above_the_floor_alone():
     pixels = camera(position=(1.0, 0.8, 2.2))
-    on_the_floor = calibrate(pixels(on_floor(PLACES)), PLACES, SIZE, None, 0.0)
-    above = calibrate(pixels(on_floor(PLACES)), PLACES, SIZE, None, 0.1)
+    on_the_floor = calibrate_camera(pixels(on_floor(PLACES)), PLACES, SIZE, None, 0.0)
+    above = calibrate_camera(pixels(on_floor(PLACES)), PLACES, SIZE, None, 0.1)
     assert on_the_floor.lens_error_mm < 2.0
     assert above.lens_error_mm > 5 * on_the_floor.lens_error_mm
 
@@ -174,7 +174,7 @@ def test_the_corners_of_a_calibration_are_the_mean_of_the_pictures():
         pictures.append([noisy[tag.tag] for tag in TAGS])
         calibration.update(noisy, SIZE)
         if count in (1, 2, 4):
-            expected = calibrate(np.mean(pictures, axis=0), PLACES, SIZE, None, 0.1)
+            expected = calibrate_camera(np.mean(pictures, axis=0), PLACES, SIZE, None, 0.1)
             assert calibration.plane.error_mm == pytest.approx(expected.error_mm, rel=1e-3)
             assert calibration.plane.lens_error_mm == pytest.approx(
                 expected.lens_error_mm, rel=1e-3
@@ -187,11 +187,11 @@ def test_a_camera_that_looks_straight_down_does_not_know_its_lens():
     down = camera(position=(1.0, 0.8, 2.2), target=(1.0, 0.801, 0.0))
     slanted = camera(position=(1.0, -0.4, 2.2))
     seen = down(on_floor(PLACES))
-    high = calibrate(seen, PLACES, SIZE, None, 0.3)
-    low = calibrate(seen, PLACES, SIZE, None, 0.0)
+    high = calibrate_camera(seen, PLACES, SIZE, None, 0.3)
+    low = calibrate_camera(seen, PLACES, SIZE, None, 0.0)
     assert 10.0 < high.lens_error_mm < 500.0
     assert low.lens_error_mm < high.lens_error_mm / 3
-    known = calibrate(slanted(on_floor(PLACES)), PLACES, SIZE, None, 0.3)
+    known = calibrate_camera(slanted(on_floor(PLACES)), PLACES, SIZE, None, 0.3)
     assert known.lens_error_mm < high.lens_error_mm / 3
 
 
@@ -199,7 +199,7 @@ def test_the_errors_of_the_floor_are_those_of_its_tags():
     pixels = camera()(on_floor(PLACES))
     moved = PLACES.copy()
     moved[2] += (0.02, 0.0)
-    plane = calibrate(pixels, moved, SIZE, LENS)
+    plane = calibrate_camera(pixels, moved, SIZE, LENS)
     off_mm = 1000 * np.linalg.norm(plane.locate(pixels) - moved, axis=-1)
     assert plane.error_max_mm == pytest.approx(off_mm.max())
     assert plane.error_mm == pytest.approx(np.sqrt(np.mean(off_mm**2)))

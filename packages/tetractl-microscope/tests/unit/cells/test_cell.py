@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tetractl_microscope.cells.cell import BodySize, PathBlob, SeenCell, relative_to_edge
+from tetractl_microscope.cells.cell import BodySize, PathBlob, SeenCell, compute_distances_to_edge
 
 lengths = st.floats(1.0, 100.0)
 angles = st.floats(-math.pi, math.pi)
@@ -23,14 +23,14 @@ def on_ellipse(parameter, axis, long, wide):
 @given(angles, angles, lengths, lengths, st.floats(0.01, 5.0))
 def test_a_distance_is_relative_to_the_ellipse_s_edge(parameter, axis, long, wide, share):
     off = share * on_ellipse(parameter, axis, long, wide)
-    assert relative_to_edge(off, axis, long, wide) == pytest.approx(share)
-    assert relative_to_edge(-off, axis, long, wide) == pytest.approx(share)
-    assert relative_to_edge(off, axis + math.pi, long, wide) == pytest.approx(share)
+    assert compute_distances_to_edge(off, axis, long, wide) == pytest.approx(share)
+    assert compute_distances_to_edge(-off, axis, long, wide) == pytest.approx(share)
+    assert compute_distances_to_edge(off, axis + math.pi, long, wide) == pytest.approx(share)
 
 
 def test_many_points_and_ellipses_are_compared_at_once():
     off = np.array([[(5.0, 0.0), (0.0, 5.0)]])
-    far = relative_to_edge(
+    far = compute_distances_to_edge(
         off, np.array([[0.0], [math.pi / 2]]), np.full((2, 1), 20.0), np.array([[4.0]])
     )
     assert far == pytest.approx(np.array([[0.5, 2.5], [2.5, 0.5]]))

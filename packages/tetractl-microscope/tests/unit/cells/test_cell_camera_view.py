@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from testkit.microscope.needs_opencv import cv2
 from tetractl_microscope.cells.camera import (
-    LEARNING_PARTS,
     LEARNING_PICTURES_MIN,
     MEAN_SPEED_MIN_S,
+    N_LEARNING_PARTS,
     SD_FACTOR,
     CellCamera,
     CellsInView,
@@ -199,7 +199,7 @@ def taken(learning_s, hz, count):
 def test_learning_takes_its_time_and_spreads_the_images_over_it():
     end, learned = taken(1.0, 60, 200)
     assert end == 60
-    assert LEARNING_PARTS <= len(learned) <= LEARNING_PARTS + 1
+    assert N_LEARNING_PARTS <= len(learned) <= N_LEARNING_PARTS + 1
     assert learned[0] == 0 and learned[-1] == 60
     assert np.diff(learned).min() >= 3 and np.diff(learned).max() <= 5
 

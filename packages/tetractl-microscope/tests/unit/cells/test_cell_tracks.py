@@ -23,10 +23,10 @@ from tetractl_microscope.cells.cell_tracks import (
     IdentityQuestion,
     Member,
     TrackBlob,
-    all_assignments,
-    log_assignment_probabilities,
-    log_densities,
-    to_probabilities,
+    compute_log_assignment_probabilities,
+    compute_log_densities,
+    list_assignments,
+    normalise_log_probabilities,
 )
 
 SIZE = BodySize(50.0, 25.0)
@@ -48,24 +48,24 @@ def question(count=2, prior=None, not_unknown=None, sizes=None):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_the_orders_are_all_assignments(count):
-    found = {tuple(order) for order in all_assignments(count).tolist()}
+    found = {tuple(order) for order in list_assignments(count).tolist()}
     assert found == set(itertools.permutations(range(count)))
 
 
 @given(st.integers(1, 4), st.integers(0, 2**31))
 def test_the_log_of_an_assignment_is_the_sum_over_its_tracks(count, seed):
     table = np.random.default_rng(seed).normal(size=(count, count))
-    logs = log_assignment_probabilities(all_assignments(count), table)
-    for order, log in zip(all_assignments(count), logs, strict=True):
+    logs = compute_log_assignment_probabilities(list_assignments(count), table)
+    for order, log in zip(list_assignments(count), logs, strict=True):
         assert log == pytest.approx(sum(table[t, n] for t, n in enumerate(order)))
 
 
 @given(st.lists(st.floats(-2000.0, 2000.0), min_size=1, max_size=9))
 def test_probabilities_add_up_to_1_whatever_the_constant(logs):
-    shares = to_probabilities(np.array(logs))
+    shares = normalise_log_probabilities(np.array(logs))
     assert shares.sum() == pytest.approx(1.0)
     assert (shares >= 0).all() and shares[np.argmax(logs)] == shares.max()
-    assert to_probabilities(np.array(logs) + 700.0) == pytest.approx(shares, abs=1e-9)
+    assert normalise_log_probabilities(np.array(logs) + 700.0) == pytest.approx(shares, abs=1e-9)
 
 
 def test_the_rows_of_a_track_are_its_own_or_those_of_its_question():
@@ -134,7 +134,7 @@ def test_the_prior_and_the_chance_of_something_unknown_lower_the_certainty():
 
 
 def test_a_track_of_three_may_be_certain_while_the_others_are_not():
-    asked = question(3, prior=np.where(all_assignments(3)[:, 0] == 0, 0.0, -50.0))
+    asked = question(3, prior=np.where(list_assignments(3)[:, 0] == 0, 0.0, -50.0))
     order, shares = asked.best_assignment()
     assert order[0] == 0
     assert shares == pytest.approx([1.0, 0.5, 0.5])
@@ -174,7 +174,7 @@ def test_the_density_of_a_cell_is_student_s_about_where_it_is_expected():
     places = np.array([(104.0, 47.0, 0.5), (120.0, 70.0, 1.0), (90.0, 50.0, 0.0)])
     sd_um = np.array([3.0, 1.0, 2.0])
     unknown = -9.0
-    found = log_densities(bank, [0, 1], places, sd_um, unknown)
+    found = compute_log_densities(bank, [0, 1], places, sd_um, unknown)
     assert found.shape == (3, 2)
     for t, n in itertools.product(range(3), range(2)):
         spread = np.array(spreads[n]) + sd_um[t] ** 2 * np.eye(2)
@@ -185,7 +185,7 @@ def test_the_density_of_a_cell_is_student_s_about_where_it_is_expected():
 
 def test_a_far_place_is_as_likely_as_for_a_cell_that_turned_by_itself():
     bank = Bank([(0.0, 0.0)], [np.eye(2)])
-    (found,) = log_densities(bank, [0], np.array([(1e6, 0.0, 0.0)]), np.ones(1), -9.0)
+    (found,) = compute_log_densities(bank, [0], np.array([(1e6, 0.0, 0.0)]), np.ones(1), -9.0)
     assert found == pytest.approx(-9.0 + math.log(SELF_TURN_PROBABILITY), abs=1e-3)
 
 

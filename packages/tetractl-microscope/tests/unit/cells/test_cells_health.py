@@ -13,10 +13,10 @@ from tetractl_microscope.cells.cells_health import (
     SHARPNESS_MIN,
     WIDTH_MIN_PX,
     SeenDish,
-    cell_count,
+    count_cells,
     describe_faint_cells,
     find_problems,
-    sharpness,
+    measure_sharpness,
 )
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import KNOWN_PROBABILITY
@@ -43,7 +43,7 @@ def picture_of_a_cell(angle, blur_px):
 
 
 def sharpness_of(angle, blur_px):
-    return sharpness(*picture_of_a_cell(angle, blur_px), UM_PX, CONTRAST)
+    return measure_sharpness(*picture_of_a_cell(angle, blur_px), UM_PX, CONTRAST)
 
 
 def test_sharpness_does_not_depend_on_where_cells_swim():
@@ -101,8 +101,8 @@ def test_rims_are_blurred_in_any_direction(blur_px, is_blurred):
 
 def test_no_sharpness_without_contrast_or_without_cells():
     picture, cells = picture_of_a_cell(0.0, 1.0)
-    assert sharpness(picture, cells, UM_PX, None) is None
-    assert sharpness(picture, [], UM_PX, CONTRAST) is None
+    assert measure_sharpness(picture, cells, UM_PX, None) is None
+    assert measure_sharpness(picture, [], UM_PX, CONTRAST) is None
 
 
 def counts(width_px=11.0, **changes):
@@ -158,9 +158,9 @@ def test_single_bad_images_say_nothing_of_light_and_focus():
 
 def test_cells_in_view_are_the_robots_that_are_seen_and_the_others():
     other = Pose(5, 5, 0)
-    assert cell_count(searches(unknown_objects=(other, other))) == 4
-    assert cell_count(searches(poses=(None, Pose(1, 1, 0)), unknown_objects=(other,))) == 2
-    assert cell_count(searches(poses=(None, None))) == 0
+    assert count_cells(searches(unknown_objects=(other, other))) == 4
+    assert count_cells(searches(poses=(None, Pose(1, 1, 0)), unknown_objects=(other,))) == 2
+    assert count_cells(searches(poses=(None, None))) == 0
 
 
 def test_a_faint_contrast_is_said_with_both_numbers():
@@ -173,7 +173,7 @@ def test_a_faint_contrast_is_said_with_both_numbers():
 @pytest.mark.parametrize("place", ["left", "top", "right", "bottom"])
 def test_the_sharpness_of_a_cell_at_the_edge_is_that_of_what_is_seen(place):
     grey, (cell,) = picture_of_a_cell(0.5, 1.0)
-    usual = sharpness(grey, [cell], UM_PX, CONTRAST)
+    usual = measure_sharpness(grey, [cell], UM_PX, CONTRAST)
     cut = 30
     part = {
         "left": grey[:, cut:],
@@ -184,15 +184,15 @@ def test_the_sharpness_of_a_cell_at_the_edge_is_that_of_what_is_seen(place):
     x = cell.x - (cut * UM_PX if place == "left" else 0)
     y = cell.y - (cut * UM_PX if place == "bottom" else 0)
     moved = SimpleNamespace(x=x, y=y, long_um=52.0)
-    found = sharpness(np.ascontiguousarray(part), [moved], UM_PX, CONTRAST)
+    found = measure_sharpness(np.ascontiguousarray(part), [moved], UM_PX, CONTRAST)
     assert found == pytest.approx(usual, rel=0.25)
 
 
 def test_the_sharpness_is_relative_to_the_contrast_and_that_of_the_middle_cell():
     grey, (cell,) = picture_of_a_cell(0.5, 1.0)
-    usual = sharpness(grey, [cell], UM_PX, CONTRAST)
-    assert sharpness(grey, [cell], UM_PX, CONTRAST / 2) == pytest.approx(2 * usual)
+    usual = measure_sharpness(grey, [cell], UM_PX, CONTRAST)
+    assert measure_sharpness(grey, [cell], UM_PX, CONTRAST / 2) == pytest.approx(2 * usual)
     empty = SimpleNamespace(x=10 * UM_PX, y=10 * UM_PX, long_um=20.0)
-    assert sharpness(grey, [cell, empty, cell], UM_PX, CONTRAST) == pytest.approx(usual)
+    assert measure_sharpness(grey, [cell, empty, cell], UM_PX, CONTRAST) == pytest.approx(usual)
     beyond = SimpleNamespace(x=500 * UM_PX, y=40 * UM_PX, long_um=52.0)
-    assert sharpness(grey, [beyond], UM_PX, CONTRAST) is None
+    assert measure_sharpness(grey, [beyond], UM_PX, CONTRAST) is None

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tetractl_microscope.cells.detect_cells import (
-    HIGH_STDS,
     LEARNING_RATE,
     LOST_IN_A_ROW_MAX,
-    LOW_STDS,
+    PEAK_THRESHOLD_STDS,
+    PIXEL_THRESHOLD_STDS,
     RELEARNING_SAMPLES,
     STRIPE_COUNT,
     Background,
@@ -19,7 +19,7 @@ from tetractl_microscope.cells.detect_cells import (
     Box,
     SearchArrays,
     SearchLimits,
-    _averaging_square,
+    _create_averaging_square,
     _measure_blob,
     _median_image,
     _sample_pixels,
@@ -416,13 +416,15 @@ def test_a_background_moves_with_all_that_was_learned():
 
 @given(st.floats(0, 20), st.floats(0.1, 5))
 def test_the_limits_are_those_above_the_level(level, spread):
-    limits = SearchLimits(level + LOW_STDS * spread, level + HIGH_STDS * spread, 1.0, 2.0)
+    limits = SearchLimits(
+        level + PIXEL_THRESHOLD_STDS * spread, level + PEAK_THRESHOLD_STDS * spread, 1.0, 2.0
+    )
     assert limits.level == pytest.approx(level, abs=1e-9)
 
 
 @pytest.mark.parametrize("least_px2", [1, 2, 30, 80, 500])
 def test_averages_are_over_a_square_of_an_odd_side_near_that_of_the_least_body(least_px2):
-    side, other = _averaging_square(least_px2).shape
+    side, other = _create_averaging_square(least_px2).shape
     assert side == other and side % 2 == 1
     assert abs(side - 1.2 * math.sqrt(least_px2)) <= 1.3
 

@@ -29,11 +29,11 @@ from tetractl_microscope.cells.match import (
     STOPPED_REACH,
     CellCosts,
     SpeckCosts,
-    _shared_costs,
+    _compute_shared_costs,
     assign_blobs,
-    cell_costs,
-    centres_in_blob,
-    speck_costs,
+    compute_cell_costs,
+    compute_speck_costs,
+    find_centres_in_blob,
 )
 from tetractl_microscope.cells.picture_now import NewestImage
 from tetractl_microscope.cells.specks import Speck
@@ -57,7 +57,7 @@ def test_a_blob_too_large_for_one_cell_is_shared_at_less_cost(times_as_large, mi
     cell = SimpleNamespace(size=size, missed_s=missed_s)
     pixels = np.array([[50.0, 50.0]])
     blob = SimpleNamespace(x=50.0, y=50.0, length=20.0, width=5.0 * times_as_large, pixels=pixels)
-    assert _shared_costs([cell], pixels, [blob], um_px=1.0).tolist() == [[cost]]
+    assert _compute_shared_costs([cell], pixels, [blob], um_px=1.0).tolist() == [[cost]]
 
 
 ORGANISM = TETRAHYMENA
@@ -79,7 +79,9 @@ def costs_at(dx, dy=0.0, scale=1.0, missed_s=0.0):
     places = np.array([[400 + dx, 400 + dy, 0.3, LENGTH_UM * scale, WIDTH_UM * scale]])
     expected = np.array([[400.0, 400.0, 0.3]])
     blob = SimpleNamespace(x=0.0, y=0.0, length=1.0, width=1.0, pixels=np.zeros((1, 2)))
-    costs = cell_costs([cell_seen(missed_s)], expected, SPREAD, [blob], places, NOW, ORGANISM)
+    costs = compute_cell_costs(
+        [cell_seen(missed_s)], expected, SPREAD, [blob], places, NOW, ORGANISM
+    )
     assert costs.shared.tolist() == [[NO_BLOB_COST]]
     return float(costs.own[0, 0]), bool(costs.is_away[0, 0])
 
@@ -121,7 +123,7 @@ def test_a_speck_takes_the_blob_where_its_motion_leads():
     speck = speck_at((0.0, 100.0), (passed, 110.0), (2 * passed, 120.0))
     xs = [130.0, 130.0 + 0.1 * LENGTH_UM, 130.0 + 0.9 * LENGTH_UM, 120.0]
     places = np.array([[x, 100.0, 0.0, LENGTH_UM, WIDTH_UM] for x in xs])
-    costs = speck_costs([speck], places, 3 * passed, passed, ORGANISM)
+    costs = compute_speck_costs([speck], places, 3 * passed, passed, ORGANISM)
     ahead, near, far, behind = costs.blobs[0]
     assert ahead == pytest.approx(SPECK_COST_MIN)
     assert near == pytest.approx(SPECK_COST_MIN + (0.1 / SPECK_SD) ** 2)
@@ -132,7 +134,7 @@ def test_a_speck_takes_the_blob_where_its_motion_leads():
 
 def test_a_long_known_speck_is_given_up_at_the_cost_of_a_cell():
     speck = speck_at(*((number / 30, 100.0) for number in range(40)))
-    costs = speck_costs([speck], np.zeros((0, 5)), 2.0, 1 / 30, ORGANISM)
+    costs = compute_speck_costs([speck], np.zeros((0, 5)), 2.0, 1 / 30, ORGANISM)
     assert costs.none.tolist() == [NO_BLOB_COST]
 
 
@@ -225,11 +227,11 @@ def test_two_cells_in_one_blob_are_found_at_its_two_ends():
     mixed = rng.permutation(np.concatenate(points))
     starts = np.column_stack([centres + np.array([[4.0, -4.0], [-4.0, 3.0]]), axes])
     owners = [cell_seen(), cell_seen()]
-    found = centres_in_blob(owners, starts, mixed)
+    found = find_centres_in_blob(owners, starts, mixed)
     assert found == pytest.approx(centres, abs=4.0)
     sampled = mixed[:: len(mixed) // EM_PIXELS_MAX]
     assert found == pytest.approx(centres_of_mixture(starts, sampled))
-    swapped = centres_in_blob(owners, starts[::-1], mixed)
+    swapped = find_centres_in_blob(owners, starts[::-1], mixed)
     assert swapped == pytest.approx(found[::-1])
 
 
@@ -242,7 +244,7 @@ def shared_cost(away_um, along=True, missed_s=0.0, scale=2.0):
     blob = SimpleNamespace(x=50.0, y=50.0, length=21.0, width=5.0 * scale, pixels=pixels)
     px = away_um / 2.0
     place = (60.0 + px, 50.0) if along else (50.0, 50.0 - px)
-    return float(_shared_costs([cell], np.array([place]), [blob], um_px=2.0)[0, 0])
+    return float(_compute_shared_costs([cell], np.array([place]), [blob], um_px=2.0)[0, 0])
 
 
 @pytest.mark.parametrize("along", [True, False])
@@ -253,16 +255,16 @@ def test_a_cell_shares_a_blob_within_a_part_of_its_width(away_um, is_shared, alo
 
 def test_nothing_is_shared_without_blobs_or_without_cells():
     cell = SimpleNamespace(size=SimpleNamespace(width=5.0, area_um2=CELL_UM2), missed_s=0.0)
-    assert _shared_costs([cell], np.zeros((1, 2)), [], 1.0).shape == (1, 0)
+    assert _compute_shared_costs([cell], np.zeros((1, 2)), [], 1.0).shape == (1, 0)
     blob = SimpleNamespace(x=0.0, y=0.0, length=9.0, width=5.0, pixels=np.zeros((1, 2)))
-    assert _shared_costs([], np.zeros((0, 2)), [blob], 1.0).shape == (0, 1)
+    assert _compute_shared_costs([], np.zeros((0, 2)), [blob], 1.0).shape == (0, 1)
 
 
 def test_a_new_speck_is_searched_farther_and_a_slow_image_rate_searches_farther():
     def reaches(count, share, passed_s):
         speck = speck_at(*((k * passed_s, 100.0) for k in range(count)))
         place = np.array([[100.0 + share * LENGTH_UM, 100.0, 0.0, LENGTH_UM, WIDTH_UM]])
-        costs = speck_costs([speck], place, count * passed_s, passed_s, ORGANISM)
+        costs = compute_speck_costs([speck], place, count * passed_s, passed_s, ORGANISM)
         return costs.blobs[0, 0] < FORBIDDEN_COST
 
     usual_s = 1 / 30

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tetractl_microscope.cells.cell import BodySize
-from tetractl_microscope.cells.cell_tracks import CellTrack, log_densities
+from tetractl_microscope.cells.cell_tracks import CellTrack, compute_log_densities
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import X, Y
 from tetractl_microscope.cells.meetings import (
@@ -102,7 +102,7 @@ def test_a_meeting_that_ends_frees_all_copies():
 def by_all_assignments(dish, meeting, deviations):
     """The shares, as sums over all assignments of cells to tracks."""
     places, _ = dish.bank.predict_bodies(np.array([track.row for track in meeting.tracks]))
-    table = log_densities(
+    table = compute_log_densities(
         dish.bank, meeting.rows, places, BODY_UM * np.array(deviations), LOG_UNKNOWN
     )
     count = len(table)

@@ -21,9 +21,9 @@ from tetractl_microscope.cells.readings import (
     TWO_CELLS_LENGTH_RATIO,
     UNUSUAL_SD,
     BlobReading,
-    note_own_blob,
-    own_reading,
-    shared_readings,
+    create_own_reading,
+    create_shared_readings,
+    record_own_blob,
     update_size,
 )
 
@@ -52,7 +52,7 @@ def pixels(xs, ys):
 
 def deviations_of(newest, **options):
     expected = np.array([X_UM, Y_UM, AXIS_RAD])
-    reading = own_reading(cell(), newest, expected, options.pop("now", picture()), LONG_UM)
+    reading = create_own_reading(cell(), newest, expected, options.pop("now", picture()), LONG_UM)
     assert reading.values == pytest.approx((X_UM, Y_UM, AXIS_RAD), abs=2)
     return reading.deviations
 
@@ -70,7 +70,7 @@ def test_the_rounder_a_blob_the_less_its_axis_says():
     small = cell()
     small.size = BodySize(25.0, 25.0)
     expected = np.array([X_UM, Y_UM, AXIS_RAD])
-    round_one = own_reading(small, blob(25.0, 25.0), expected, picture(), LONG_UM)
+    round_one = create_own_reading(small, blob(25.0, 25.0), expected, picture(), LONG_UM)
     assert math.isfinite(round_one.deviations[2])
 
 
@@ -96,7 +96,7 @@ def test_in_a_blob_with_another_object_the_cell_is_on_its_own_side():
     points = pixels((X_UM - 50, X_UM + 50), (Y_UM - 12, Y_UM + 12))
     newest = blob(2 * LONG_UM, WIDE_UM, is_large=True)
     expected = np.array([X_UM - 25, Y_UM, 0.0])
-    reading = own_reading(cell(), newest, expected, picture(points), LONG_UM)
+    reading = create_own_reading(cell(), newest, expected, picture(points), LONG_UM)
     x, y, _ = reading.values
     assert (x, y) == pytest.approx((X_UM - 25, Y_UM), abs=4)
     assert reading.deviations[:2] == pytest.approx((SHARED_SD.position * LONG_UM,) * 2)
@@ -114,7 +114,7 @@ def test_cells_that_share_a_blob_are_on_their_sides_with_their_expected_axes(lon
     points = pixels((X_UM - long / 2, X_UM + long / 2), (Y_UM - 12, Y_UM + 12))
     expected = np.array([[X_UM + 20, Y_UM, 0.1], [X_UM - 20, Y_UM, -0.2]])
     cells = [cell(), cell()]
-    found = shared_readings(cells, blob(long), expected, picture(points), LONG_UM)
+    found = create_shared_readings(cells, blob(long), expected, picture(points), LONG_UM)
     assert [reading.cell for reading in found] == cells
     (right, _, axis), (left, _, other) = (reading.values for reading in found)
     assert left < X_UM - 5 < X_UM + 5 < right
@@ -138,23 +138,23 @@ def test_cells_that_share_a_blob_are_on_their_sides_with_their_expected_axes(lon
 )
 def test_a_blob_is_large_by_its_area_or_its_length(long, wide, is_large):
     newest = blob(long, wide)
-    note_own_blob(cell(), newest, 1.0)
+    record_own_blob(cell(), newest, 1.0)
     assert newest.is_large == is_large
 
 
 def test_a_path_has_the_newest_blobs():
     tracked = cell()
     for k in range(PATH_BLOBS + 4):
-        note_own_blob(tracked, blob(), k / 10)
+        record_own_blob(tracked, blob(), k / 10)
     assert [round(10 * seen.seconds) for seen in tracked.path] == list(range(4, PATH_BLOBS + 4))
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.9, False), (1.1, True)])
 def test_a_cell_has_another_size_once_its_blob_has_had_it_for_a_while(share, grows):
     tracked = cell()
-    note_own_blob(tracked, blob(), 2.0)
+    record_own_blob(tracked, blob(), 2.0)
     for part in (0.3, 0.5, 0.7, share):
-        note_own_blob(tracked, blob(2 * LONG_UM, WIDE_UM), 2.0 + part * NEW_SIZE_S)
+        record_own_blob(tracked, blob(2 * LONG_UM, WIDE_UM), 2.0 + part * NEW_SIZE_S)
     assert tracked.size == ((2 * LONG_UM, WIDE_UM) if grows else (LONG_UM, WIDE_UM))
 
 
@@ -175,5 +175,5 @@ def test_a_large_cell_may_hide_a_small_one(is_first_large):
     cells[is_first_large].size = BodySize(LONG_UM / 2, WIDE_UM / 2)
     points = pixels((X_UM - 25, X_UM + 25), (Y_UM - 12, Y_UM + 12))
     expected = np.array([[X_UM + 10, Y_UM, 0.1], [X_UM - 10, Y_UM, -0.2]])
-    for reading in shared_readings(cells, blob(), expected, picture(points), LONG_UM):
+    for reading in create_shared_readings(cells, blob(), expected, picture(points), LONG_UM):
         assert reading.deviations[0] == pytest.approx(HIDDEN_SD.position * LONG_UM)

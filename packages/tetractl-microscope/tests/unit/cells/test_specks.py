@@ -15,9 +15,9 @@ from tetractl_microscope.cells.specks import (
     EXTRAPOLATION_MAX_S,
     SIZE_VARIATION_MAX,
     Speck,
+    compute_median_size,
     fit_uniform_motion,
     is_swimming,
-    median_size,
 )
 from tetractl_microscope.organisms import OUTLINE_FACTOR, TETRAHYMENA
 
@@ -113,7 +113,7 @@ def test_a_line_fitted_to_a_path_is_the_least_squares_one(vx, vy):
 def test_the_usual_size_is_the_median_of_whole_blobs():
     sizes = [(10.0, 4.0), (NAN, NAN), (12.0, 8.0), (99.0, 5.0)]
     blobs = np.array([(0, 0, 0, 0, *size) for size in sizes])
-    assert tuple(median_size(blobs))[:2] == (12.0, 5.0)
+    assert tuple(compute_median_size(blobs))[:2] == (12.0, 5.0)
 
 
 @given(ahead_s=st.floats(0, 1))

@@ -3,7 +3,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tetractl_microscope.coils.section import CoilsSection, approach
+from tetractl_microscope.coils.section import CoilsSection, step_towards
 
 angles = st.floats(-10, 10)
 gains = st.floats(0.1, 10) | st.floats(-10, -0.1)
@@ -52,7 +52,7 @@ pairs = st.tuples(st.floats(-5, 5), st.floats(-5, 5))
 
 @given(pairs, pairs, st.floats(0, 10))
 def test_approaching_is_a_straight_line_of_limited_steps(now, wished, step):
-    got = approach(now, wished, step)
+    got = step_towards(now, wished, step)
     moves = [g - n for g, n in zip(got, now, strict=True)]
     gaps = [w - n for w, n in zip(wished, now, strict=True)]
     peak = max(map(abs, gaps))

@@ -1,7 +1,7 @@
 """Tests of a camera's problems and warnings about its stream of images."""
 
 import pytest
-from tetractl_microscope.pictures.searches import PictureSearch, stream_lines
+from tetractl_microscope.pictures.searches import PictureSearch, describe_stream
 
 from tetractl.core.clock import SECOND
 
@@ -34,7 +34,7 @@ def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
         PictureSearch(k * step, round(k * step * SECOND / hz), 5_000_000, None) for k in range(20)
     ]
     now_ns = round(stream["now"] * SECOND) + (step - 1) * 19 * SECOND // 30
-    problems, warnings = stream_lines(
+    problems, warnings = describe_stream(
         searches, "film", stream["ended"], now_ns, stream["declared"], stream["damaged"]
     )
     assert problems == ([] if problem is None else [problem])
@@ -52,13 +52,13 @@ def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
 def test_images_are_counted_from_the_first_that_is_kept(numbers, missing):
     searches = [PictureSearch(k, round(k * SECOND / 30), 5_000_000, None) for k in numbers]
     now_ns = searches[-1].received_ns
-    _, warnings = stream_lines(searches, "film", "", now_ns, None, 0)
+    _, warnings = describe_stream(searches, "film", "", now_ns, None, 0)
     assert len(warnings) == (missing is not None)
     assert all(line.startswith(missing) for line in warnings)
 
 
 def test_a_stream_without_images_has_one_problem():
-    assert stream_lines([], "film", "", SECOND, 30.0, 0) == (
+    assert describe_stream([], "film", "", SECOND, 30.0, 0) == (
         ["no images come from film any more"],
         [],
     )

@@ -22,7 +22,7 @@ from tetractl_microscope.pictures.picture_section import (
     PictureSection,
     PictureSource,
 )
-from tetractl_microscope.pictures.source import decoded
+from tetractl_microscope.pictures.source import decode_to_grey
 from tetractl_microscope.registries import PICTURE_SOURCES
 
 from tetractl.core.clock import SECOND, VirtualClock
@@ -129,7 +129,7 @@ def test_a_device_is_set_up_read_and_released(monkeypatch):
     assert not feed.emulated
     assert Capture.last.settings[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
     for _ in range(3):
-        picture = decoded(feed.read())
+        picture = decode_to_grey(feed.read())
         assert (picture == 7).all()
     with pytest.raises(SourceEndedError, match="camera 2 sends no more"):
         feed.read()
@@ -195,7 +195,7 @@ def test_a_stream_is_read_to_its_end():
     feed = source.open(VirtualClock(), 5.0)
     assert not feed.emulated  # though it is on loopback
     for _ in range(3):
-        picture = decoded(feed.read())
+        picture = decode_to_grey(feed.read())
         assert picture.shape == PICTURE.shape
     with pytest.raises(SourceEndedError, match="closed the stream"):
         feed.read()
@@ -207,9 +207,9 @@ def test_a_stream_is_read_to_its_end():
 def test_a_jpeg_cut_short_is_none_and_a_spoiled_one_does_no_harm(cut, spoil):
     whole_jpeg = jpeg(PICTURE)
     cut %= len(whole_jpeg)
-    assert decoded(Picture(whole_jpeg[:cut], 0)) is None
+    assert decode_to_grey(Picture(whole_jpeg[:cut], 0)) is None
     spoiled = whole_jpeg[:cut] + spoil + whole_jpeg[cut + len(spoil) :]
-    grey = decoded(Picture(spoiled, 0))
+    grey = decode_to_grey(Picture(spoiled, 0))
     assert grey is None or grey.dtype == np.uint8
 
 
@@ -225,7 +225,7 @@ def test_a_jpeg_that_claims_to_be_huge_is_not_decoded(size, monkeypatch):
     monkeypatch.setattr(JpegImageFile, "load", lambda self: pytest.fail("it is decoded"))
     bomb = claiming(32767, 32767, jpeg(np.zeros((8, 8), np.uint8)))
     assert len(bomb) < 400
-    assert decoded(Picture(bomb, 0), size) is None
+    assert decode_to_grey(Picture(bomb, 0), size) is None
 
 
 @pytest.mark.parametrize("colour", [False, True])
@@ -234,11 +234,11 @@ def test_a_jpeg_cut_short_before_an_end_marker_is_damaged(colour, restarts):
     """Regression: it was decoded into a picture that is partly grey."""
     pixels = np.dstack([PICTURE, PICTURE[::-1], PICTURE]) if colour else PICTURE
     whole_jpeg = jpeg(pixels, restarts=restarts)
-    grey = decoded(Picture(whole_jpeg, 0))
+    grey = decode_to_grey(Picture(whole_jpeg, 0))
     assert np.array_equal(grey, cv2grey(whole_jpeg))
     start = whole_jpeg.index(b"\xff\xda") + 10
     for cut in range(start, len(whole_jpeg) - 24):
-        assert decoded(Picture(whole_jpeg[:cut] + b"\xff\xd9", 0)) is None
+        assert decode_to_grey(Picture(whole_jpeg[:cut] + b"\xff\xd9", 0)) is None
 
 
 def cv2grey(content):
@@ -263,7 +263,7 @@ def test_a_source_of_another_package_is_found_by_its_name(monkeypatch):
         {"type": "still", "grey": 9}
     )
     feed = source.open(VirtualClock(), 1.0)
-    assert (decoded(feed.read()) == 9).all()
+    assert (decode_to_grey(feed.read()) == 9).all()
     assert source.shown == "still"
     source.checked()
     with pytest.raises(ValidationError, match="unknown type"):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 from tetractl_microscope.tracks.cell_tables import (
-    cell_data,
-    cell_mean,
-    cell_tables,
-    known_values,
-    value_of,
+    compute_cell_mean,
+    create_cell_tables,
+    create_data_table,
+    extract_value,
+    find_known_values,
 )
 
 
@@ -33,17 +33,20 @@ CELLS = [
 
 
 def test_a_cell_in_pieces_counts_once_and_by_its_time():
-    mean = cell_mean(*known_values(CELLS, "speed_um_s"))
+    mean = compute_cell_mean(*find_known_values(CELLS, "speed_um_s"))
     assert mean.n == 3
     assert mean.mean == pytest.approx(np.average([400, 300, 500, 450], weights=[8, 2, 6, 8]))
     assert mean.ci95.low < mean.mean < mean.ci95.high
-    assert cell_mean(CELLS[:1], [400.0]).n == 1 and not cell_mean(CELLS[:1], [400.0]).ci95.known
+    assert (
+        compute_cell_mean(CELLS[:1], [400.0]).n == 1
+        and not compute_cell_mean(CELLS[:1], [400.0]).ci95.known
+    )
 
 
 def test_cells_that_are_seen_together_for_equally_long_have_the_usual_mean_and_interval():
     values = [410.0, 380.0, 502.0, 444.0, 371.0]
     cells = [cell(k, 0.1 * k, 9.0, value) for k, value in enumerate(values)]
-    mean = cell_mean(cells, values)
+    mean = compute_cell_mean(cells, values)
     usual = stats.t.interval(0.95, 4, np.mean(values), stats.sem(values))
     assert (mean.n, mean.mean) == (5, pytest.approx(np.mean(values)))
     assert mean.std == pytest.approx(np.std(values, ddof=1))
@@ -61,33 +64,33 @@ def test_cells_that_are_seen_together_for_equally_long_have_the_usual_mean_and_i
 )
 def test_n_is_the_number_of_cells_that_were_seen_at_once(times, n):
     cells = [cell(k, since, seconds, 100.0 + k) for k, (since, seconds) in enumerate(times)]
-    mean = cell_mean(cells, [c["speed_um_s"] for c in cells])
+    mean = compute_cell_mean(cells, [c["speed_um_s"] for c in cells])
     assert mean.n == n
     assert mean.ci95.known == (n >= 3)
     assert math.isnan(mean.std) == (n == 1)
 
 
 def test_two_cells_have_a_spread_and_the_reason_why_there_is_no_interval():
-    mean = cell_mean(CELLS[:1] + CELLS[3:], [400.0, 450.0])
+    mean = compute_cell_mean(CELLS[:1] + CELLS[3:], [400.0, 450.0])
     assert mean.std == pytest.approx(np.std([400, 450], ddof=1))
     assert "3 cells" in mean.ci95.reason
 
 
 def test_means_of_responses_are_of_the_cells_that_respond():
-    chosen, values = known_values(CELLS, "a_rad_s")
+    chosen, values = find_known_values(CELLS, "a_rad_s")
     assert [c["cell"] for c in chosen] == [1, 3, 4] and values == [4.0, 5.0, 4.0]
-    assert known_values(CELLS, "speed_um_s")[1] == [400.0, 300.0, 500.0, 450.0]
+    assert find_known_values(CELLS, "speed_um_s")[1] == [400.0, 300.0, 500.0, 450.0]
 
 
 def test_a_value_of_0_is_known_and_none_is_not():
     cells = [cell(1, 0, 5, 0.0), cell(2, 0, 5, None), {"cell": 3}]
-    assert known_values(cells, "speed_um_s") == (cells[:1], [0.0])
+    assert find_known_values(cells, "speed_um_s") == (cells[:1], [0.0])
 
 
 def test_the_value_of_an_interval_is_its_middle_value():
-    assert value_of({"value": 3.0, "ci95": [2.0, 5.0]}) == 3.0
-    assert value_of(2.5) == 2.5
-    assert value_of(None) is None
+    assert extract_value({"value": 3.0, "ci95": [2.0, 5.0]}) == 3.0
+    assert extract_value(2.5) == 2.5
+    assert extract_value(None) is None
 
 
 def measured(number, speed, a, magnet, **more):
@@ -119,7 +122,7 @@ def columns(table):
 
 
 def test_the_printed_table_has_values_with_intervals_and_leaves_out_what_no_cell_has():
-    table, _ = cell_tables(RECORD)
+    table, _ = create_cell_tables(RECORD)
     shown = columns(table)
     assert shown["cell"] == [7, 9, 12]
     assert shown["speed"] == ["300 [280, 330]", "360 [340, 390]", "330 [310, 360]"]
@@ -132,7 +135,7 @@ def test_the_printed_table_has_values_with_intervals_and_leaves_out_what_no_cell
 
 
 def test_means_are_printed_with_their_n_and_not_for_times_and_magnets():
-    _, means = cell_tables(RECORD)
+    _, means = create_cell_tables(RECORD)
     rows = list(zip(*(column.values for column in means.columns), strict=True))
     by_name = {row[0]: row[1:] for row in rows}
     assert list(by_name) == [
@@ -149,16 +152,16 @@ def test_means_are_printed_with_their_n_and_not_for_times_and_magnets():
 
 
 def test_a_single_cell_has_no_table_of_means():
-    assert len(cell_tables({"notes": [], "cells": RECORD["cells"][:1]})) == 1
+    assert len(create_cell_tables({"notes": [], "cells": RECORD["cells"][:1]})) == 1
 
 
 def test_no_known_quantity_has_no_table_of_means():
     cells = [{"cell": 1, "duration_s": 3.0}, {"cell": 2, "duration_s": 3.0}]
-    assert len(cell_tables({"notes": [], "cells": cells})) == 1
+    assert len(create_cell_tables({"notes": [], "cells": cells})) == 1
 
 
 def test_the_file_has_every_quantity_and_the_ends_of_its_interval():
-    data = columns(cell_data(RECORD))
+    data = columns(create_data_table(RECORD))
     assert data["speed_um_s"] == [300.0, 360.0, 330.0]
     assert data["speed_low_um_s"] == [280.0, 340.0, 310.0]
     assert data["speed_high_um_s"] == [330.0, 390.0, 360.0]

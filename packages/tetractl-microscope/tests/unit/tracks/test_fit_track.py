@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import norm
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR
-from tetractl_microscope.organisms import named
+from tetractl_microscope.organisms import find_organism
 from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath, fit_tracks
 
-TETRAHYMENA = named("tetrahymena")
+TETRAHYMENA = find_organism("tetrahymena")
 HZ = 25.0
 FINE = 20
 """Steps of the motion from one image to the next."""

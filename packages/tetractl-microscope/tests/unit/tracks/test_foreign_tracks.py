@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tetractl_microscope.tracks.foreign_tracks import _axis_step, _find_axes, spot_tracks
+from tetractl_microscope.tracks.foreign_tracks import _find_axes, _find_axis_step, read_spot_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -17,7 +17,7 @@ MICROMETRES = {"um": 1.0, "mm": 1e3, "micrometer": 1.0}
 def read(folder, text, um=None, hz=None, said=None):
     path = folder / "tracks.csv"
     path.write_text(text)
-    return spot_tracks(path, um, hz, [] if said is None else said)
+    return read_spot_tracks(path, um, hz, [] if said is None else said)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_a_graph_without_time_x_and_y_says_what_it_lacks(axes, says):
 def test_an_axis_has_a_size_if_its_unit_or_its_scale_is_known(
     unit, scale, scaled_unit, size, counted
 ):
-    step = _axis_step(axis("x", unit=unit, scale=scale, scaled_unit=scaled_unit), MICROMETRES)
+    step = _find_axis_step(axis("x", unit=unit, scale=scale, scaled_unit=scaled_unit), MICROMETRES)
     assert (step.size, step.counted) == (size, counted)
 
 
@@ -228,7 +228,7 @@ def graph(folder, ids, edges):
     nodes = {name: {"values": column, "missing": None} for name, column in values.items()}
     path = folder / "tracks.geff"
     core_io.write_arrays(path, ids.astype(np.uint64), nodes, edges.astype(np.uint64), {}, about)
-    return spot_tracks(path, None, None, [])
+    return read_spot_tracks(path, None, None, [])
 
 
 def test_a_track_of_a_graph_ends_where_a_cell_divides(tmp_path):

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tetractl_microscope.cells.field_record import FieldRecord
-from tetractl_microscope.organisms import named
+from tetractl_microscope.organisms import find_organism
 from tetractl_microscope.tracks.fit_track import IMAGE_RATE_MIN_HZ, CellPath
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.swimming_tracks import (
     create_track_record,
+    describe_moving_stage,
     find_organism_by_speed,
     select_swimming_tracks,
-    stage_remarks,
 )
 
 from tetractl.core.errors import TetractlError, UsageError
@@ -102,7 +102,7 @@ def in_all_directions(count, common, own_um_s):
     ],
 )
 def test_cells_that_move_together_are_said_to_with_both_speeds(count, common, own, said):
-    lines = stage_remarks(in_all_directions(count, np.array(common), own))
+    lines = describe_moving_stage(in_all_directions(count, np.array(common), own))
     assert len(lines) == said
     for line in lines:
         assert f"at 90 um/s, in addition to {own:.0f} um/s of their own" in line
@@ -126,7 +126,7 @@ MOSTLY = FieldRecord(np.array([0.0, 3.0]), np.array([1.0, 1.0 + math.pi]))
 )
 def test_in_a_field_cells_are_carried_if_they_go_straight_while_it_turns(field, wobble_um, said):
     paths = [path(k, (90.0, 0.5 * k), wobble_um) for k in range(10)]
-    lines = stage_remarks(paths, field)
+    lines = describe_moving_stage(paths, field)
     assert len(lines) == said
     assert all(line.endswith("and no a is fitted") for line in lines)
 
@@ -134,7 +134,7 @@ def test_in_a_field_cells_are_carried_if_they_go_straight_while_it_turns(field, 
 def test_a_field_whose_strength_varies_is_judged_by_its_directions():
     strong = FieldRecord(TURNS.times, TURNS.angles, np.where(TURNS.angles < 1.0, 50.0, 0.1))
     paths = [path(k, (90.0, 0.5 * k)) for k in range(10)]
-    assert len(stage_remarks(paths, strong)) == 1
+    assert len(describe_moving_stage(paths, strong)) == 1
 
 
 @pytest.mark.parametrize("hz", [2.0, 20.0, 100.0])
@@ -154,7 +154,7 @@ def test_the_organism_is_that_of_the_middle_cell():
 
 def record(tracks, field=None, organism="tetrahymena"):
     cells = select_swimming_tracks(SOURCE, tracks, False)
-    return create_track_record(Path("folder") / SOURCE, cells, named(organism), field)
+    return create_track_record(Path("folder") / SOURCE, cells, find_organism(organism), field)
 
 
 def test_a_record_says_what_was_fitted():

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tetractl_microscope.cells.field_record import FieldRecord
-from tetractl_microscope.organisms import named
+from tetractl_microscope.organisms import find_organism
 from tetractl_microscope.tracks.fit_track import fit_tracks
 from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.swimming_tracks import (
     create_track_record,
+    describe_moving_stage,
     find_organism_by_speed,
     select_swimming_tracks,
-    stage_remarks,
 )
 
 from tetractl.core.errors import TetractlError
@@ -120,15 +120,19 @@ def test_particles_that_drift_past_a_turning_field_are_said_to():
     to_one_side = FieldRecord(np.arange(10.0), np.full(10, 0.5))
     drifting = [bead(number, 2.0, drift_um_s=20.0) for number in range(10)]
     paths = select_swimming_tracks(SOURCE, drifting, True).paths
-    (said,) = stage_remarks(paths, turning_about)
+    (said,) = describe_moving_stage(paths, turning_about)
     assert "does the stage move, or does the medium flow?" in said
     assert "no a is fitted" in said
-    assert not stage_remarks(paths, to_one_side)
+    assert not describe_moving_stage(paths, to_one_side)
     for field in (turning_about, to_one_side):
         followed = [steered(number, field) for number in range(10)]
-        assert not stage_remarks(select_swimming_tracks(SOURCE, followed, True).paths, field)
+        assert not describe_moving_stage(
+            select_swimming_tracks(SOURCE, followed, True).paths, field
+        )
     own_ways = [turning(number, 0.1) for number in range(10)]
-    assert not stage_remarks(select_swimming_tracks(SOURCE, own_ways, True).paths, turning_about)
+    assert not describe_moving_stage(
+        select_swimming_tracks(SOURCE, own_ways, True).paths, turning_about
+    )
 
 
 @pytest.mark.parametrize(
@@ -161,7 +165,7 @@ def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     cell = track(1, when[::fine], x[::fine], y[::fine], noise_um=0.3)
     field = FieldRecord(changes, sent)
     cells = select_swimming_tracks(SOURCE, [cell], True)
-    (summary,) = fit_tracks(cells.paths, named("tetrahymena"), field, cells.period_s)
+    (summary,) = fit_tracks(cells.paths, find_organism("tetrahymena"), field, cells.period_s)
     assert summary.a_rad_s.low < a < summary.a_rad_s.high
     assert summary.a_rad_s.value == pytest.approx(a, rel=0.03)
     assert summary.speed_um_s.low < speed < summary.speed_um_s.high
@@ -172,7 +176,7 @@ TURNING_ABOUT = FieldRecord(np.arange(0.0, 10.0, 2.0), np.array([0.0, 1.5, -1.2,
 
 def record(cells, field=TURNING_ABOUT):
     tracks = select_swimming_tracks(SOURCE, cells, field is not None)
-    return create_track_record(SOURCE, tracks, named("euglena"), field)
+    return create_track_record(SOURCE, tracks, find_organism("euglena"), field)
 
 
 @pytest.mark.parametrize("turns", [2.2, -2.2])
@@ -199,6 +203,6 @@ def wandering(number):
 def test_noise_of_places_makes_no_flow_past_a_swimmer():
     """Regression: speeds of 78 (72 to 83) and 87 (83 to 91) for 100, by flows of up to 23 um/s."""
     cells = select_swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
-    for summary in fit_tracks(cells.paths, named("euglena"), None, cells.period_s):
+    for summary in fit_tracks(cells.paths, find_organism("euglena"), None, cells.period_s):
         assert summary.speed_um_s.value == pytest.approx(100.0, rel=0.03)
         assert summary.speed_um_s.low < 101.0 and summary.speed_um_s.high > 99.0

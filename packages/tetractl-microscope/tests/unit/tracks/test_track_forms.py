@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.tracks.foreign_tracks import COUNTED_FROM_ONE, spot_tracks
+from tetractl_microscope.tracks.foreign_tracks import COUNTED_FROM_ONE, read_spot_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -21,7 +21,7 @@ SPACE = {"type": "space", **PIXEL}
 
 
 def poses(path, um=None, hz=None, said=None):
-    tracks = spot_tracks(path, um, hz, [] if said is None else said)
+    tracks = read_spot_tracks(path, um, hz, [] if said is None else said)
     assert len(tracks) == 2
     return sorted(tuple(row) for track in tracks for row in track.rows.tolist())
 

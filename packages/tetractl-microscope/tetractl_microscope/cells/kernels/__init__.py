@@ -1,1 +1,1 @@
-"""Compiled parts of the tracking of cells."""
+"""Compiled kernels of the Kalman filter that tracks swimming cells."""

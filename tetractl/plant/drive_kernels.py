@@ -1,10 +1,10 @@
 """Compiled functions that move simulated robots.
 
-They are loops over the functions of `tetractl.model.motion`, and give the same bits:
+The functions are loops over the functions of `tetractl.model.motion`, and give the same bits:
 
-    answer   computes what a host sends to robots on wheels, and how fast the wheels really turn
-    roll     moves robots on wheels, `rolling.roll`
-    swim     moves cells, `swimming.swim`
+    compute_wheel_speeds  computes the speeds that a host sends to wheels, and the true speeds
+    roll                  moves robots on wheels, see `rolling.roll`
+    swim                  moves cells, see `swimming.swim`
 
 Import this module only where it is needed, because reading a spec needs no compiler.
 """
@@ -27,13 +27,13 @@ _note = exact(rolling.note)
 _count = exact(rolling.count)
 
 
-class Trains(NamedTuple):
-    """The left and right wheels of N robots with their motors, shape (2, N) each."""
+class WheelArrays(NamedTuple):
+    """The left and right wheels of N robots with their motors, as arrays of shape (2, N)."""
 
-    owed: Floats
+    rounding_errors: Floats
     """Rounding errors that are carried over to the next transmission [counts].
 
-    `answer` changes them.
+    `compute_wheel_speeds` changes them.
     """
     gain: Floats
     """Wheel speed for each count, as the host knows it [length unit/s]."""
@@ -48,49 +48,53 @@ class Trains(NamedTuple):
 
 
 @compiled(**ENTRY)
-def answer(
-    heading: Floats,
-    u: Floats,
-    since_ns: int,
+def compute_wheel_speeds(
+    headings: Floats,
+    directions: Floats,
+    measured_ns: int,
     acts_ns: int,
     robots: KnownRobots,
-    sent: SentRates,
-    trains: Trains,
+    sent_rates: SentRates,
+    wheels: WheelArrays,
 ) -> tuple[Floats, Floats]:
     """Compute the wheel speeds that a host sends to robots, and the true speeds of the wheels.
 
-    `rolling.wish` explains the arguments up to `sent`. The speeds are also recorded in `sent`.
+    See `rolling.wish` for the computation. The speeds are also recorded in `sent_rates`.
 
     Args:
-        heading: Measured headings [rad], shape (N,).
-        u: Directions [rad], shape (N,).
-        since_ns: Time of the measurement.
-        acts_ns: When the command takes effect.
-        robots: What the host knows of the robots.
-        sent: The rates sent so far.
-        trains: The wheels.
+        headings: Measured headings [rad], shape (N,).
+        directions: Directions to which the robots turn [rad], shape (N,).
+        measured_ns: Time of the measurement [ns].
+        acts_ns: When the command takes effect [ns].
+        robots: The robots as the host knows them.
+        sent_rates: The rates sent so far.
+        wheels: The wheels as the host knows them, and as they truly are.
 
     Returns:
-        The speeds as the host knows them, and the true ones, left and right (2, N) each [length
-        unit/s].
+        The speeds as the host knows them, and the true speeds [length unit/s]. Both have shape
+        (2, N): left and right wheels.
     """
-    wished = _wish(heading, u, since_ns, acts_ns, robots, sent)
+    known_speeds = _wish(headings, directions, measured_ns, acts_ns, robots, sent_rates)
     if robots.lag_s > 0:
-        _note(sent, acts_ns, wished, robots.radius)
-    true_speeds = np.empty(wished.shape)
-    if trains.limit[0] == 0:  # speeds are not rounded to counts
+        _note(sent_rates, acts_ns, known_speeds, robots.radius)
+    true_speeds = np.empty(known_speeds.shape)
+    if wheels.limit[0] == 0:  # speeds are not rounded to counts
         for side in range(2):
-            for i in range(heading.size):
-                true_speeds[side, i] = trains.true_gain[side, i] * wished[side, i]
-        return wished, true_speeds
-    steps = _count(wished, trains.owed, trains.gain, trains.dead_zone, trains.limit)
+            for i in range(headings.size):
+                true_speeds[side, i] = wheels.true_gain[side, i] * known_speeds[side, i]
+        return known_speeds, true_speeds
+    excess_counts = _count(
+        known_speeds, wheels.rounding_errors, wheels.gain, wheels.dead_zone, wheels.limit
+    )
     for side in range(2):
-        for i in range(heading.size):
-            step = steps[side, i]  # counts beyond the dead zone
-            true_step = 0.0
-            if step != 0:
-                counts = abs(step) + trains.dead_zone[side, i] - trains.true_dead_zone[side, i]
-                true_step = math.copysign(max(counts, 0), step)
-            wished[side, i] = trains.gain[side, i] * step
-            true_speeds[side, i] = trains.true_gain[side, i] * true_step
-    return wished, true_speeds
+        for i in range(headings.size):
+            excess = excess_counts[side, i]  # counts beyond the dead zone
+            true_excess = 0.0
+            if excess != 0:
+                true_count = (
+                    abs(excess) + wheels.dead_zone[side, i] - wheels.true_dead_zone[side, i]
+                )
+                true_excess = math.copysign(max(true_count, 0), excess)
+            known_speeds[side, i] = wheels.gain[side, i] * excess
+            true_speeds[side, i] = wheels.true_gain[side, i] * true_excess
+    return known_speeds, true_speeds

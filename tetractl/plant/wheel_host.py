@@ -14,7 +14,7 @@ from tetractl.plant.direct import find_aimed_directions
 from tetractl.plant.sim_section import WheelDriveSection
 
 if TYPE_CHECKING:
-    from tetractl.plant.drive_kernels import Trains
+    from tetractl.plant.drive_kernels import WheelArrays
 
 
 class SimHost:
@@ -32,11 +32,11 @@ class SimHost:
     def __init__(
         self, section: WheelDriveSection, setup: Setup, random: np.random.Generator
     ) -> None:
-        from tetractl.plant.drive_kernels import answer  # late: compiled
+        from tetractl.plant.drive_kernels import compute_wheel_speeds  # late: compiled
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
         n_robots = setup.a.size
-        self._compute_speeds = answer
+        self._compute_speeds = compute_wheel_speeds
         self._section = section
         self._known_robots = KnownRobots(
             a=setup.a.copy(),
@@ -101,19 +101,19 @@ class SimHost:
         if isinstance(action, Steer) and action.lag_s is not None:
             self._known_robots = self._known_robots._replace(lag_s=action.lag_s)
         self._last_speeds = self._compute_speeds(
-            heading=headings,
-            u=find_aimed_directions(action, headings),
-            since_ns=measured_ns,
+            headings=headings,
+            directions=find_aimed_directions(action, headings),
+            measured_ns=measured_ns,
             acts_ns=acts_ns,
             robots=self._known_robots.turning() if isinstance(action, Turn) else self._known_robots,
-            sent=self._sent_rates,
-            trains=self.drivetrains,
+            sent_rates=self._sent_rates,
+            wheels=self.drivetrains,
         )
 
 
 def sample_drivetrains(
     section: WheelDriveSection, n_robots: int, random: np.random.Generator
-) -> "Trains":
+) -> "WheelArrays":
     """Sample the true gains and dead zones of the wheels for one trial.
 
     The result has no rounding errors to carry over yet.
@@ -123,7 +123,7 @@ def sample_drivetrains(
         n_robots: Number of robots.
         random: The random generator.
     """
-    from tetractl.plant.drive_kernels import Trains
+    from tetractl.plant.drive_kernels import WheelArrays
 
     shape = (2, n_robots)
     gain = 1.0 if section.count is None else section.count
@@ -131,8 +131,8 @@ def sample_drivetrains(
     gain_factors = 1 + section.gain_error * random.uniform(-1, 1, shape)
     dead_zone_error = section.dead_zone_error
     dead_zones = section.dead_zone + random.integers(-dead_zone_error, dead_zone_error + 1, shape)
-    return Trains(
-        owed=np.zeros(shape),
+    return WheelArrays(
+        rounding_errors=np.zeros(shape),
         gain=np.full(shape, float(gain)),
         dead_zone=np.full(shape, float(section.dead_zone)),
         true_gain=gain * gain_factors,

@@ -79,7 +79,7 @@ class Child:
         self.kill()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
-                with suppress(BrokenPipeError):  # it has not read what it was given
+                with suppress(BrokenPipeError):  # the child has not read all its input
                     stream.close()
 
     @property
@@ -89,7 +89,7 @@ class Child:
 
     @property
     def stdin(self) -> IO[bytes]:
-        """The pipe through which a process that is `fed` receives its input. Others have none."""
+        """The pipe through which the process receives its input. Needs `has_stdin`."""
         assert self._process.stdin is not None
         return self._process.stdin
 
@@ -102,27 +102,28 @@ class Child:
     def wait(self) -> int:
         """Wait until the process ends, and return its exit code.
 
-        If a signal has ended it, the result is minus the number of the signal.
+        If a signal has ended the process, the result is minus the number of the signal.
         """
         return self._process.wait()
 
     def kill(self) -> None:
         """Kill the child process with SIGKILL, and wait until it is gone.
 
-        Nothing happens if it has ended before.
+        Nothing happens if the process has already ended.
         """
         self._process.kill()
         self._process.wait()
 
     def error_lines(self) -> list[str]:
-        """Return the last printable lines on its standard error, after it has ended.
+        """Return the last printable lines of the child's standard error, after the child has ended.
 
-        A child of that process may keep the pipe open. This method does not wait for it.
+        A child process of the child may keep the pipe open. This method does not wait for it.
         """
         self._listener.join(1.0)
         return split_printable_lines(bytes(self._output))
 
     def _listen(self) -> None:
+        """Read the child's standard error, and keep the last OUTPUT_BYTES_MAX bytes."""
         stream = self._process.stderr
         assert stream is not None
         with stream, suppress(OSError, ValueError):
@@ -137,7 +138,7 @@ def run_tool(
     """Run a tool, such as git or a compiler, and wait until it ends.
 
     Raises:
-        OSError: If it cannot be started, or does not end in time.
+        OSError: If the tool cannot be started, or does not end in time.
     """
     try:
         return subprocess.run(
@@ -148,7 +149,7 @@ def run_tool(
 
 
 def open_in_browser(address: str) -> bool:
-    """Open an address in the browser. Return whether there is a browser."""
+    """Open an address in the browser, and return whether there is a browser."""
     import webbrowser
 
     return webbrowser.open(address)

@@ -70,7 +70,8 @@ def create_fork_context() -> BaseContext:
 class WorkerPool:
     """A pool of worker processes, as a context manager.
 
-    At its end, it waits for running calls, and drops those that have not begun.
+    At the end of the `with` block, the pool waits for running calls, and drops calls that have not
+    started.
 
     Args:
         context: Context of `multiprocessing` that starts the processes.
@@ -91,8 +92,8 @@ class WorkerPool:
         arguments: tuple[Any, ...] = (),
     ) -> None:
         self._receiver, self._sender = context.Pipe(duplex=False)
-        self._who = line_prefix
-        self._tell = print_line
+        self._line_prefix = line_prefix
+        self._print_line = print_line
         self._context: Any = context
         worker_arguments = self._sender, prepare, arguments
         self._pool = ProcessPoolExecutor(workers, context, _start_worker, worker_arguments)
@@ -136,18 +137,22 @@ class WorkerPool:
                 return
 
     def _listen(self) -> None:
+        """Print the lines that the workers write, up to LINES_MAX, in the listening thread."""
         line_count = 0
         with suppress(OSError), os.fdopen(os.dup(self._receiver.fileno()), "rb") as stream:
             while line := stream.readline(OUTPUT_BYTES_MAX):
                 for shown_line in split_printable_lines(line):
                     line_count += 1
                     if line_count <= LINES_MAX:
-                        self._tell(f"{self._who}: {shown_line}")
+                        self._print_line(f"{self._line_prefix}: {shown_line}")
                     elif line_count == LINES_MAX + 1:
-                        self._tell(f"{self._who}: further output of this process is not shown")
+                        self._print_line(
+                            f"{self._line_prefix}: further output of this process is not shown"
+                        )
 
 
 def _create_failed_future(error: BrokenProcessPool) -> "Future[Any]":
+    """Create a future that ends with an error."""
     future: Future[Any] = Future()
     future.set_exception(error)
     return future
@@ -156,10 +161,11 @@ def _create_failed_future(error: BrokenProcessPool) -> "Future[Any]":
 def _start_worker(
     output: Connection, prepare: Callable[..., object] | None, arguments: tuple[Any, ...]
 ) -> None:
+    """Redirect a worker's output to the pool's pipe, and call the function that prepares it."""
     for descriptor in (1, 2):
         os.dup2(output.fileno(), descriptor)
     output.close()
-    # the streams before may have text of another process, or be written by a thread of it
+    # the old streams may contain text of another process, or be used by one of its threads
     sys.stdout = _open_line_stream(1)
     sys.stderr = _open_line_stream(2)
     if prepare is not None:
@@ -167,4 +173,5 @@ def _start_worker(
 
 
 def _open_line_stream(descriptor: int) -> TextIO:
+    """Open a stream that writes each line to a descriptor at once."""
     return open(descriptor, "w", buffering=1, errors="backslashreplace", closefd=False)

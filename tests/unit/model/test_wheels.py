@@ -115,8 +115,8 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
     calibrated = uneven_wheels(rng, count)
     true = replace(calibrated, gain=2 * calibrated.gain, dead_zone=calibrated.dead_zone + 1)
     host = WheelHost(*robots, calibrated)
-    trains = kernels.Trains(
-        owed=np.zeros((2, count)),
+    trains = kernels.WheelArrays(
+        rounding_errors=np.zeros((2, count)),
         gain=calibrated.gain,
         dead_zone=calibrated.dead_zone.astype(float),
         true_gain=true.gain,
@@ -132,7 +132,9 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
         drives = k % 5 > 0
         rates = rates.with_room()
         wishes = robots if drives else robots.turning()
-        speeds = kernels.answer(heading, np.full(count, u), seen_ns, acts_ns, wishes, rates, trains)
+        speeds = kernels.compute_wheel_speeds(
+            heading, np.full(count, u), seen_ns, acts_ns, wishes, rates, trains
+        )
         wished = host.compute_speeds(heading, u, seen_ns, acts_ns, drives)
         host.record_sent(acts_ns, wished)
         counts = host.counts(wished)

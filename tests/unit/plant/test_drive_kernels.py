@@ -7,7 +7,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.motion.rolling import KnownRobots, SentRates
 from tetractl.model.wheels import Drivetrains, WheeledRobots, WheelHost
-from tetractl.plant.drive_kernels import Trains, answer, roll
+from tetractl.plant.drive_kernels import WheelArrays, compute_wheel_speeds, roll
 
 RNG = np.random.default_rng(411)
 ROBOTS = 5
@@ -22,8 +22,8 @@ LIMIT = np.full(ROBOTS, 127)
 
 
 def trains(limit=LIMIT):
-    return Trains(
-        owed=np.zeros((2, ROBOTS)),
+    return WheelArrays(
+        rounding_errors=np.zeros((2, ROBOTS)),
         gain=GAIN.copy(),
         dead_zone=DEAD_ZONE.astype(float),
         true_gain=TRUE_GAIN.copy(),
@@ -51,7 +51,9 @@ def test_rounded_speeds_are_what_the_labs_host_sends_and_what_true_wheels_make_o
         sent = sent.with_room()
         known = KnownRobots(A, SPEED, RADIUS, lag_s)
         directions = np.full(ROBOTS, u)
-        speeds, true = answer(heading, directions, since_ns, acts_ns, known, sent, wheels)
+        speeds, true = compute_wheel_speeds(
+            heading, directions, since_ns, acts_ns, known, sent, wheels
+        )
         assert speeds == pytest.approx(host.drivetrains.speeds(counts))
         assert true == pytest.approx(truly.speeds(counts))
 
@@ -63,7 +65,7 @@ def test_speeds_that_are_not_rounded_are_sent_as_wished_and_scaled_by_the_true_g
     known = KnownRobots(A, SPEED, RADIUS, 0.0)
     unrounded = trains(np.zeros(ROBOTS))
     args = (heading, np.full(ROBOTS, 0.4), 0, 0, known, SentRates.none(ROBOTS), unrounded)
-    speeds, true = answer(*args)
+    speeds, true = compute_wheel_speeds(*args)
     assert speeds.tolist() == wished.tolist()
     assert true == pytest.approx(TRUE_GAIN * wished)
 
@@ -72,7 +74,7 @@ def test_wheels_that_are_sent_nothing_stand_whatever_their_dead_zones():
     known = KnownRobots(A, np.zeros(ROBOTS), RADIUS, 0.0)
     heading = RNG.uniform(-3, 3, ROBOTS)
     args = (heading, heading.copy(), 0, 0, known, SentRates.none(ROBOTS), trains())
-    speeds, true = answer(*args)
+    speeds, true = compute_wheel_speeds(*args)
     assert not speeds.any()
     assert not true.any()
 

@@ -135,7 +135,7 @@ def test_wheels_without_errors_are_as_the_host_knows_them():
     assert trains.gain.tolist() == trains.true_gain.tolist() == [[2.5] * 4] * 2
     assert trains.dead_zone.tolist() == trains.true_dead_zone.tolist() == [[7] * 4] * 2
     assert trains.limit.tolist() == [COUNT_MAX] * 4
-    assert not trains.owed.any()
+    assert not trains.rounding_errors.any()
     smooth = sample_drivetrains(WheelDriveSection(), 4, np.random.default_rng(1))
     assert smooth.limit.tolist() == [0] * 4
     assert smooth.gain.tolist() == smooth.true_gain.tolist() == [[1.0] * 4] * 2

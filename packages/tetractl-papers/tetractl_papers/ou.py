@@ -63,7 +63,7 @@ ARMS = {
     "cells": Runs("benchmark/cells-flow", (AS_PUBLISHED,)),
 }
 
-ONE_PERIOD_MM = (180 + 200 + 150) * 0.2
+DISTANCE_PER_PERIOD_MM = (180 + 200 + 150) * 0.2
 """Sum of the distances that the three robots drive in one control period [mm].
 
 Robots "at the targets" cannot be expected to have a smaller total error.
@@ -87,11 +87,11 @@ MINUS_ENSEMBLE = "PSO-MPC minus Feedback Ensemble Control"
 SIMULATION_CLAIMS = [
     Claim(
         figure="Fig. 1: the robots reach their targets; total error at the end",
-        published=f"only drawn; we read it as {ONE_PERIOD_MM:.0f} mm or less",
+        published=f"only drawn; we read it as {DISTANCE_PER_PERIOD_MM:.0f} mm or less",
         arm="figure-1",
         measure=measures.get_total_error,
         unit="mm",
-        asked=at_most(ONE_PERIOD_MM),
+        asked=at_most(DISTANCE_PER_PERIOD_MM),
     ),
     Claim(
         figure="Fig. 1: trials in which a robot enters the disc",
@@ -146,20 +146,20 @@ SIMULATION_CLAIMS = [
     Claim(
         figure="Sections II to IV: the search finds nearly the smallest J, which is at least 0; "
         "J of step 0",
-        published=f"no number is given; we read it as {ONE_PERIOD_MM:.0f} mm or less",
+        published=f"no number is given; we read it as {DISTANCE_PER_PERIOD_MM:.0f} mm or less",
         arm="first-search",
         measure=measures.first_cost,
         unit="mm",
-        asked=at_most(ONE_PERIOD_MM),
+        asked=at_most(DISTANCE_PER_PERIOD_MM),
     ),
     Claim(
         figure="Section III: without errors, the sequence of step 0 is enough; its total error "
         "in open loop",
-        published=f"no number is given; we read it as {ONE_PERIOD_MM:.0f} mm or less",
+        published=f"no number is given; we read it as {DISTANCE_PER_PERIOD_MM:.0f} mm or less",
         arm="open-undisturbed",
         measure=measures.get_total_error,
         unit="mm",
-        asked=at_most(ONE_PERIOD_MM),
+        asked=at_most(DISTANCE_PER_PERIOD_MM),
     ),
     Claim(
         figure="Section III: with errors, it is not enough; total error on the bench, closed "
@@ -186,11 +186,11 @@ SIMULATION_CLAIMS = [
     Claim(
         figure="Section IV-B: the square of the first search ends at the starts; distance of a "
         "robot from its start",
-        published=f"no number is given; we read it as {ONE_PERIOD_MM / 3:.0f} mm or less",
+        published=f"no number is given; we read it as {DISTANCE_PER_PERIOD_MM / 3:.0f} mm or less",
         arm="square",
         measure=measures.mean_displacement,
         unit="mm",
-        asked=at_most(ONE_PERIOD_MM / 3),
+        asked=at_most(DISTANCE_PER_PERIOD_MM / 3),
     ),
 ]
 

@@ -51,7 +51,7 @@ class RrtSection(PlainSection):
     goal_bias: ClassVar[float] = 0.1
     """Fraction of the samples that are the target instead of a random point."""
     points_max: ClassVar[int] = 5000
-    """Maximum number of random points used to grow one tree. If the tree does not reach the target,
+    """Maximum number of random points that grow one tree. If the tree does not reach the target,
     the robot drives straight to it.
     """
     ahead_cosine_min: ClassVar[float] = 0.7

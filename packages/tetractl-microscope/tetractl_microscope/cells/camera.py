@@ -161,7 +161,7 @@ class PictureReports:
     def add(
         self, picture: GreyImage, exposed_ns: int, background: GreyImage | None, probability: Floats
     ) -> None:
-        """Add an image.
+        """Record the log messages and the identities that belong to an image.
 
         Args:
             picture: The image.
@@ -232,8 +232,8 @@ class CellCamera(PictureCamera[SeenDish]):
     def candidates(self) -> list[RobotCandidate]:
         """List the cells in the newest image that are identified with certainty.
 
-        Each has the filter's estimate of a, and its mean speed since it came into view. Cells near
-        the arena's edge are not `free`.
+        Each candidate has the filter's estimate of the turning rate a, and the mean speed since the
+        cell came into view. Cells near the arena's edge are not `free`.
         """
         view = self._view
         identified_cells = [
@@ -244,7 +244,7 @@ class CellCamera(PictureCamera[SeenDish]):
     def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
         """Convert a cell in view to a candidate, in the spec's coordinates and length unit.
 
-        It is not `free` if it is near a wall.
+        The candidate is not `free` if the cell is near a wall.
         """
         speed_um_s, speed_sd_um_s = view.speed(cell)
         unit_per_um = 1e-6 / self._metres
@@ -276,7 +276,7 @@ class CellCamera(PictureCamera[SeenDish]):
     def robots(self) -> Sequence[int]:
         """The numbers of the robots' cells, in the setup's order.
 
-        It is empty until one image has shown all of them.
+        The sequence is empty until one image has shown all robots.
         """
         return self._robots.numbers
 
@@ -310,7 +310,7 @@ class CellCamera(PictureCamera[SeenDish]):
     def additions(self) -> list[FrameAddition]:
         """Return the additional log messages of each frame since the last call, oldest first.
 
-        Each is returned once, and the list is empty if there are none.
+        Each message is returned once. The list is empty if there are no new messages.
         """
         return take_all(self._reports.additions)
 
@@ -319,7 +319,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return CellWatch(self, self._reports.identities, setup, limits.identity)
 
     def _health(self, searches: Sequence[PictureSearch[SeenDish]]) -> Health:
-        """Describe problems and warnings about light, focus and cells, and facts for the log."""
+        """Find problems and warnings about light, focus and cells, and facts for the log."""
         width_px = find_organism(self.section.organism).body_um[1] / self.section.um_px
         problems, warnings = find_problems(self._robots.setup.names, searches, width_px)
         facts = {
@@ -372,9 +372,10 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def _take_robots(self, view: CellsInView) -> RobotCells:
-        """Return the present robots, and note which cells they are and which of them have divided.
+        """Return the present robots, and record which cells they are and which have divided.
 
-        It is called once for each image, because the trial's thread may replace robots at any time.
+        This method is called once for each image, because the trial's thread may replace robots at
+        any time.
         """
         robots = self._robots
         if not robots.cells:
@@ -386,7 +387,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return robots
 
     def _nearest_to_starts(self, view: CellsInView, setup: Setup) -> Sequence[int]:
-        """Return the indices of the cells nearest to the robots' starts.
+        """Find the numbers of the cells nearest to the robots' starts.
 
         The result is empty if there are fewer cells than robots.
         """

@@ -57,7 +57,7 @@ def update_filter(
 def _add_to_question(
     reading: BlobReading, question: IdentityQuestion, log_likelihoods: Floats, seconds: float
 ) -> None:
-    """Use a measurement as evidence in an open question of which cell is on which track.
+    """Use a measurement as evidence for which cell is on which track.
 
     Args:
         reading: The measurement.

@@ -1,7 +1,7 @@
 """Assigns the blobs of an image to cells and specks, with the minimum total cost.
 
-Costs are squared deviations: twice the negative log-likelihood. A cell may have one of these, or
-none:
+Costs are squared deviations: twice the negative log-likelihood. A cell may have one of these
+blobs, or no blob:
 
 - a blob of its own where the filter expects it, with the cost q + s: q is the squared Mahalanobis
   distance of the position, and s the same for the logarithms of length and width;
@@ -62,31 +62,31 @@ EM_PIXELS_MAX = 200  # maximum number of pixels of a blob that this fit uses
 
 @dataclass(frozen=True, slots=True)
 class CellCosts:
-    """The costs of assigning blobs to cells, shape (C, B).
+    """The costs of assigning the blobs of an image to cells, shape (C, B).
 
     Attributes:
-        own: Cost of a blob that shows only this cell.
-        shared: Cost of a place in a blob that shows several cells.
+        own_blob: Cost of a blob that shows only this cell.
+        shared_blob: Cost of a place in a blob that shows several cells.
         is_away: Whether a blob that shows only this cell would be away from the position that the
             filter expects.
     """
 
-    own: Floats
-    shared: Floats
+    own_blob: Floats
+    shared_blob: Floats
     is_away: Bools
 
 
 @dataclass(frozen=True, slots=True)
 class SpeckCosts:
-    """The costs of assigning blobs to specks.
+    """The costs of assigning the blobs of an image to specks.
 
     Attributes:
         blobs: Cost of each blob for each speck, shape (S, B).
-        none: Cost of leaving each speck without a blob, shape (S,).
+        no_blob: Cost of leaving each speck without a blob, shape (S,).
     """
 
     blobs: Floats
-    none: Floats
+    no_blob: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +94,12 @@ class Assignment:
     """The blobs that are assigned to the cells and specks in one image.
 
     Attributes:
-        of_cells: Index of the blob of each cell. None if it has none.
-        of_specks: Index of the blob of each speck. None if it has none.
+        blob_of_cell: Index of the blob of each cell. None for a cell without a blob.
+        blob_of_speck: Index of the blob of each speck. None for a speck without a blob.
     """
 
-    of_cells: list[int | None]
-    of_specks: list[int | None]
+    blob_of_cell: list[int | None]
+    blob_of_speck: list[int | None]
 
 
 def compute_cell_costs(
@@ -111,7 +111,7 @@ def compute_cell_costs(
     image: NewestImage,
     organism: Organism,
 ) -> CellCosts:
-    """Compute the costs of assigning blobs to cells.
+    """Compute the costs of assigning the blobs of an image to cells.
 
     Args:
         cells: The C cells.
@@ -150,8 +150,8 @@ def compute_cell_costs(
     cost_away = np.where(is_in_reach, stopped_cost, NO_BLOB_COST)
 
     return CellCosts(
-        own=np.minimum(cost_near, cost_away),
-        shared=_compute_shared_costs(cells, image.pixels_of(expected), blobs, image.um_px),
+        own_blob=np.minimum(cost_near, cost_away),
+        shared_blob=_compute_shared_costs(cells, image.pixels_of(expected), blobs, image.um_px),
         is_away=cost_away < cost_near,
     )
 
@@ -163,7 +163,7 @@ def compute_speck_costs(
     since_previous_s: float,
     organism: Organism,
 ) -> SpeckCosts:
-    """Compute the costs of assigning blobs to specks, from where their last motion leads.
+    """Compute the costs of assigning blobs to specks, from where their motion leads.
 
     Args:
         specks: The S specks.
@@ -227,14 +227,14 @@ def assign_blobs(cells: CellCosts, specks: SpeckCosts) -> Assignment:
     each track, the cells first. Its columns are the blobs, then a further column for each cell that
     may share a blob, then a column for each track that stays without a blob.
     """
-    n_cells, n_blobs = cells.own.shape
-    may_share = cells.shared < NO_BLOB_COST
+    n_cells, n_blobs = cells.own_blob.shape
+    may_share = cells.shared_blob < NO_BLOB_COST
     shared_blobs = np.repeat(np.arange(n_blobs), may_share.sum(axis=0))
     blob_of_column = np.concatenate([np.arange(n_blobs), shared_blobs])
-    no_blob_costs = np.concatenate([np.full(n_cells, NO_BLOB_COST), specks.none])
+    no_blob_costs = np.concatenate([np.full(n_cells, NO_BLOB_COST), specks.no_blob])
     cost = np.full((len(no_blob_costs), len(blob_of_column)), FORBIDDEN_COST)
-    cost[:n_cells, :n_blobs] = cells.own
-    cost[:n_cells, n_blobs:] = cells.shared[:, shared_blobs]
+    cost[:n_cells, :n_blobs] = cells.own_blob
+    cost[:n_cells, n_blobs:] = cells.shared_blob[:, shared_blobs]
     cost[n_cells:, :n_blobs] = specks.blobs
     is_worse_than_none = cost >= no_blob_costs[:, None]
     cost[is_worse_than_none] = FORBIDDEN_COST

@@ -59,7 +59,7 @@ class CellIdentities:
     tracks are forgotten.
 
     Args:
-        cell_filter: The filter.
+        cell_filter: The Kalman filter of all cells.
         body_um: Length of a cell [um].
     """
 
@@ -82,7 +82,7 @@ class CellIdentities:
         self._last_identity += 1
         return self._last_identity
 
-    # ---- tracks that meet and part ----
+    # ---- tracks that meet and separate ----
 
     def note_meeting(self, tracks: Sequence[CellTrack], seconds: float, with_unknown: bool) -> None:
         """Record that the cells on some tracks meet, and cannot be distinguished.
@@ -277,8 +277,8 @@ class CellIdentities:
     def _ask_question(self, meeting: Meeting, places: Floats, seconds: float) -> None:
         """End a meeting of cells, and store the question of which cell is on which track.
 
-        Cells that meet look like a single blob. When they part, it is unknown at first which
-        track belongs to which of them.
+        Cells that meet look like a single blob. When they separate, it is unknown at first which
+        track belongs to which cell.
 
         Args:
             meeting: The meeting. It is removed from the open meetings.
@@ -334,7 +334,7 @@ class CellIdentities:
             track.row = int(question.rows[i, assignment[i]])
 
     def _close_question(self, question: IdentityQuestion) -> None:
-        """Close a question with its most probable answer, and report that answer.
+        """Close a question with its most probable answer, and report this answer.
 
         The certainty of each track's identity becomes the answer's probability times the
         cell's certainty before. Filter rows of other answers become free.
@@ -357,7 +357,7 @@ class CellIdentities:
         self._report_answer(question.tracks, float(assignment_probabilities.max()), met_identities)
 
     def _reduce_certainty(self, track: CellTrack, probability: float) -> None:
-        """Multiply the certainty of a track's identity by a probability, and report this."""
+        """Reduce the certainty of a track's identity by a factor, and report the new certainty."""
         old_identity = track.identity
         track.certainty *= probability
         self._report_answer([track], probability, [old_identity])
@@ -365,7 +365,7 @@ class CellIdentities:
     def _report_answer(
         self, tracks: Sequence[CellTrack], probability: float, met_identities: Sequence[int]
     ) -> None:
-        """Add an answer for `take_answers`: which cells are on tracks after a meeting of cells."""
+        """Report, through `take_answers`, which cells are on some tracks after a meeting."""
         track_identities = tuple(
             TrackIdentity(track.number, track.identity, track.certainty, track.together_s)
             for track in tracks

@@ -161,11 +161,11 @@ def create_shared_readings(
     has_size_of_one_cell = length * width < LARGE_AREA_RATIO * max(
         cell.size.area_um2 for cell in cells
     )
-    spread = HIDDEN_SD if has_size_of_one_cell else SHARED_SD
-    sd_um = spread.position * body_um
+    measurement_sd = HIDDEN_SD if has_size_of_one_cell else SHARED_SD
+    sd_um = measurement_sd.position * body_um
     points = image.points_of(track_blob.blob)
     centres = match.find_centres_in_blob(cells, expected, points).tolist()
     return [
-        BlobReading(cell, track_blob, (x, y, axis), (sd_um, sd_um, spread.axis))
+        BlobReading(cell, track_blob, (x, y, axis), (sd_um, sd_um, measurement_sd.axis))
         for cell, axis, (x, y) in zip(cells, expected[:, 2].tolist(), centres, strict=True)
     ]

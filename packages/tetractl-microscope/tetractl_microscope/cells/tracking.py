@@ -65,7 +65,7 @@ FieldPieces = Callable[[float, float], Sequence[Piece]]
 
 @dataclass(frozen=True, slots=True)
 class CellsInBlob:
-    """A blob, and the cells that it shows.
+    """A blob of the newest image, and the tracked cells that it shows.
 
     Attributes:
         track_blob: The blob and its place.
@@ -142,7 +142,7 @@ class CellTracker:
         hidden_s = max(HIDDEN_S, image.short_gap_s)
         return self._estimates([cell for cell in self._cells if cell.missed_s < hidden_s])
 
-    # ---- step 1: cells are predicted, and blobs found ----
+    # ---- step 1: predict cells, and find blobs ----
 
     def _describe_picture(self, picture: GreyImage, seconds: float) -> NewestImage:
         """Describe the newest image: its time, the time since the previous one, and its size.
@@ -184,7 +184,7 @@ class CellTracker:
         for cell in self._cells:
             cell.move_by(x, y)
 
-    # ---- step 2: blobs are assigned to tracks ----
+    # ---- step 2: assign blobs to tracks ----
 
     def _assign_blobs(
         self, blobs: Sequence[Blob], image: NewestImage
@@ -209,11 +209,11 @@ class CellTracker:
         )
         assignment = match.assign_blobs(costs, speck_costs)
         # a cell that has stopped or turned by itself is where the filter does not expect it
-        for cell, blob, is_away in zip(cells, assignment.of_cells, costs.is_away, strict=True):
+        for cell, blob, is_away in zip(cells, assignment.blob_of_cell, costs.is_away, strict=True):
             if blob is not None and is_away[blob]:
                 self.cell_filter.widen([cell.row])
         track_blobs = [TrackBlob(index, blob, places[index]) for index, blob in enumerate(blobs)]
-        groups = self._assign_to_cells(assignment.of_cells, track_blobs, expected, image)
+        groups = self._assign_to_cells(assignment.blob_of_cell, track_blobs, expected, image)
         return groups, self._assign_to_specks(assignment, track_blobs, image)
 
     def _assign_to_cells(
@@ -225,7 +225,7 @@ class CellTracker:
     ) -> list[CellsInBlob]:
         """Assign blobs to the cells, and return each blob together with its cells.
 
-        `blob_of_cell` holds the index in `track_blobs` of each cell's blob.
+        `blob_of_cell` contains, for each cell, the index of its blob in `track_blobs`, or None.
         """
         cell_indices_by_blob: dict[int, list[int]] = {}
         for i, blob in enumerate(blob_of_cell):
@@ -250,24 +250,24 @@ class CellTracker:
     ) -> list[FreeBlob]:
         """Assign blobs to the specks, and return all blobs without a cell.
 
-        A returned blob has its speck, or None if it is a new one. A speck without a blob
-        has been missed for the time since the previous image.
+        A returned blob contains its speck, or None if it belongs to no known speck. For a speck
+        without a blob, the time since the previous image is added to the time without a blob.
         """
         speck_by_blob = {}
-        for speck, blob in zip(self._newcomers.specks, assignment.of_specks, strict=True):
+        for speck, blob in zip(self._newcomers.specks, assignment.blob_of_speck, strict=True):
             if blob is None:
                 speck.missed_s += image.since_previous_s
             else:
                 speck.missed_s = 0.0
                 speck_by_blob[blob] = speck
-        with_cells = set(assignment.of_cells)
+        with_cells = set(assignment.blob_of_cell)
         return [
             FreeBlob(blob, speck_by_blob.get(blob.index))
             for blob in track_blobs
             if blob.index not in with_cells
         ]
 
-    # ---- step 3: blobs update the states ----
+    # ---- step 3: update the states with the blobs ----
 
     def _update_cells(self, groups: Sequence[CellsInBlob], image: NewestImage) -> None:
         """Update the cells' states with their blobs, after all meetings of cells are known.
@@ -312,7 +312,7 @@ class CellTracker:
         (expected,) = group.expected
         return [create_own_reading(cell, group.track_blob, expected, image, body_um)]
 
-    # ---- step 4: which cell is which ----
+    # ---- step 4: infer which cell is which ----
 
     def _note_meeting(self, cells: Sequence[CellTrack], image: NewestImage) -> None:
         """Record that cells are not distinguished, and whether an unknown object may join them."""
@@ -342,7 +342,7 @@ class CellTracker:
         )
         self._identities.answer_questions(image.seconds)
 
-    # ---- step 6: cells are dropped ----
+    # ---- step 6: drop cells ----
 
     def _drop_cells(self, image: NewestImage) -> None:
         """Drop cells that have not been seen for long, have left the image, or do not swim.
@@ -373,7 +373,7 @@ class CellTracker:
     def _has_swum(self, cell: CellTrack) -> bool:
         """Check whether a cell has swum farther than NEW_CELL_LENGTHS, and so is no longer new.
 
-        A cell stays so once it has.
+        A cell that was accepted once is never new again.
         """
         if cell.start_um is None:
             return True
@@ -385,7 +385,7 @@ class CellTracker:
     def _cell_rectangles(self, image: NewestImage) -> list[tuple[int, int, int, int]]:
         """Return rectangles around the cells in which the background is not updated.
 
-        Each is left, top, right and bottom [px].
+        Each rectangle is given by its left, top, right and bottom [px].
         """
         cell_states = self.cell_filter.means[[cell.row for cell in self._cells]]
         rectangles = list[tuple[int, int, int, int]]()

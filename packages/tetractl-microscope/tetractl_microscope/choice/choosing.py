@@ -13,7 +13,7 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.section import Choice, require_choice
 
 # Maximum difference of ln a of two robots that makes a choice better.
-UNLIKENESS_MAX = 0.4
+DISSIMILARITY_MAX = 0.4
 # Maximum difference of ln a or ln speed at which a cell can be the wanted one.
 LOG_DIFFERENCE_MAX = 0.3
 
@@ -112,9 +112,9 @@ def rate_choice(
         experiment: The experiment.
 
     Returns:
-        A tuple that compares like any tuple. Its entries are: whether all cells are free and stay
-        clear of walls for 0.5 s, their `compute_dissimilarity` up to UNLIKENESS_MAX, and their
-        minimum turning rate [rad/s].
+        A tuple, to be compared with the tuples of other choices. Its entries are: whether all cells
+        are free and stay clear of walls for 0.5 s, their `compute_dissimilarity` up to
+        DISSIMILARITY_MAX, and their minimum turning rate [rad/s].
     """
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
@@ -123,8 +123,8 @@ def rate_choice(
     stays_inside = bool((arena.depth_inside(x, y) > 0.5 * speed).all())
     are_all_free = stays_inside and all(cell.free for cell in cells)
     a = np.array([cell.a for cell in cells])
-    cell_unlikeness = compute_dissimilarity(a, np.array([cell.a_sd for cell in cells]))
-    return are_all_free, min(cell_unlikeness, UNLIKENESS_MAX), float(a.min())
+    dissimilarity = compute_dissimilarity(a, np.array([cell.a_sd for cell in cells]))
+    return are_all_free, min(dissimilarity, DISSIMILARITY_MAX), float(a.min())
 
 
 def find_most_similar(

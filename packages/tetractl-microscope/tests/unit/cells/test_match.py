@@ -82,8 +82,8 @@ def costs_at(dx, dy=0.0, scale=1.0, missed_s=0.0):
     costs = compute_cell_costs(
         [cell_seen(missed_s)], expected, SPREAD, [blob], places, NOW, ORGANISM
     )
-    assert costs.shared.tolist() == [[NO_BLOB_COST]]
-    return float(costs.own[0, 0]), bool(costs.is_away[0, 0])
+    assert costs.shared_blob.tolist() == [[NO_BLOB_COST]]
+    return float(costs.own_blob[0, 0]), bool(costs.is_away[0, 0])
 
 
 @pytest.mark.parametrize(("dx", "dy"), [(0.0, 0.0), (6.0, 0.0), (0.0, -6.0), (5.0, 12.0)])
@@ -128,24 +128,24 @@ def test_a_speck_takes_the_blob_where_its_motion_leads():
     assert ahead == pytest.approx(SPECK_COST_MIN)
     assert near == pytest.approx(SPECK_COST_MIN + (0.1 / SPECK_SD) ** 2)
     assert far == FORBIDDEN_COST
-    assert SPECK_COST_MIN < behind < costs.none[0]
-    assert costs.none.tolist() == [NO_BLOB_SPECK_COST + 3 * NO_BLOB_SPECK_INCREASE]
+    assert SPECK_COST_MIN < behind < costs.no_blob[0]
+    assert costs.no_blob.tolist() == [NO_BLOB_SPECK_COST + 3 * NO_BLOB_SPECK_INCREASE]
 
 
 def test_a_long_known_speck_is_given_up_at_the_cost_of_a_cell():
     speck = speck_at(*((number / 30, 100.0) for number in range(40)))
     costs = compute_speck_costs([speck], np.zeros((0, 5)), 2.0, 1 / 30, ORGANISM)
-    assert costs.none.tolist() == [NO_BLOB_COST]
+    assert costs.no_blob.tolist() == [NO_BLOB_COST]
 
 
 def cheapest(cells):
     """The lowest total cost of all ways to give blobs to cells, one after the other."""
-    count, blobs = cells.own.shape
+    count, blobs = cells.own_blob.shape
     ways = [
         [
             (NO_BLOB_COST, None),
-            *((cells.own[i, j], j) for j in range(blobs)),
-            *((cells.shared[i, j], None) for j in range(blobs)),
+            *((cells.own_blob[i, j], j) for j in range(blobs)),
+            *((cells.shared_blob[i, j], None) for j in range(blobs)),
         ]
         for i in range(count)
     ]
@@ -165,8 +165,8 @@ def total_cost(cells, of_cells):
         if blob is None:
             total += NO_BLOB_COST * len(with_it)
             continue
-        shared = [float(cells.shared[i, blob]) for i in with_it]
-        saved = [cost - cells.own[i, blob] for cost, i in zip(shared, with_it, strict=True)]
+        shared = [float(cells.shared_blob[i, blob]) for i in with_it]
+        saved = [cost - cells.own_blob[i, blob] for cost, i in zip(shared, with_it, strict=True)]
         total += sum(shared) - max(0.0, *saved)
     return total
 
@@ -180,7 +180,7 @@ def test_the_assignment_is_the_cheapest_of_all(seed, count, blobs):
     )
     cells = CellCosts(own, shared, np.zeros_like(own, dtype=bool))
     found = assign_blobs(cells, SpeckCosts(np.zeros((0, blobs)), np.zeros(0)))
-    assert total_cost(cells, found.of_cells) == pytest.approx(cheapest(cells))
+    assert total_cost(cells, found.blob_of_cell) == pytest.approx(cheapest(cells))
 
 
 def test_a_speck_gets_no_blob_of_a_cell_and_none_that_is_dearer_than_nothing():
@@ -193,8 +193,8 @@ def test_a_speck_gets_no_blob_of_a_cell_and_none_that_is_dearer_than_nothing():
         np.array([40.0, 50.0]),
     )
     found = assign_blobs(cells, specks)
-    assert found.of_cells == [0]
-    assert found.of_specks == [1, None]
+    assert found.blob_of_cell == [0]
+    assert found.blob_of_speck == [1, None]
 
 
 def centres_of_mixture(starts, points):

@@ -71,7 +71,7 @@ class CubeReports:
 
 
 class ToioCamera:
-    """Tracks the setup's robots by their own readings; see `tetractl.core.protocols.Camera`.
+    """Tracks robots by their cubes' own readings; see `tetractl.core.protocols.Camera`.
 
     A frame contains the newest reading of every cube. A cube without a new reading keeps its last
     one, with its old time. The number of a frame is the number of reports so far.
@@ -155,9 +155,9 @@ class ToioCamera:
         ]
 
     def check(self) -> Health:
-        """Check whether every cube sees the mat. Each robot whose cube does not is a problem.
+        """Check whether every cube sees the mat, and report a problem for each cube that does not.
 
-        A cube that has not reported yet counts as one that does not see the mat.
+        A cube that has not reported yet counts as a cube that does not see the mat.
         """
         _, reports = self._reports.now()
         problems = tuple(

@@ -47,7 +47,7 @@ DURATION_MS = 10
 NOTIFY_READINGS = bytes([0x18, 0, 1, 0])
 """The setting that makes a cube notify its reading each DURATION_MS, changed or not."""
 NOTIFY_MISSED = bytes([0x19, 0, 1])
-"""The setting that makes a cube say that it is off the mat after DURATION_MS there."""
+"""The setting that makes a cube report that it is off the mat, after DURATION_MS off the mat."""
 
 
 class Characteristic(IntEnum):

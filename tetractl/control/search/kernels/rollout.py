@@ -99,7 +99,16 @@ def compute_costs(problem, rollouts, signals, total):
     """Compute the cost J of many sequences of signals, as a part of a kernel.
 
     Arrays are taken out of the problem and the rollouts before the loops, because inside them each
-    access to a field would take as long as a dozen steps. For the arguments, see `costs`.
+    access to a field would take as long as a dozen steps.
+
+    Args:
+        problem: The problem, a `FlatProblem`.
+        rollouts: The working arrays.
+        signals: The sequences [rad], one per column, shape (L, P).
+        total: Filled with J of each sequence, shape (P,).
+
+    Returns:
+        Whether all costs are finite.
     """
     robots = problem.robots
     first = problem.first

@@ -49,7 +49,7 @@ truly came near to another, the edge or an obstacle, or was noticed only when th
 CAUSES = {
     "camera": "all robots (drift together|are seen to move)",
     "radio": "is the radio slow",
-    "numbers": "as the other is commanded",
+    "numbers": "follow each other's commands",
     "robot": "(green|blue|red)(.s left wheel| moves| does not move| turns| still moves)",
 }
 

@@ -72,7 +72,7 @@ def test_a_trial_is_run_again_under_another_controller(logs):
     again = read_trial(logs / "other" / "trial-001.mcap")
     assert (again.experiment.controller.steps_max, again.result.outcome.value) == (3, "steps max")
     assert (again.start.seed, again.start.trial) == (was.seed, was.trial)
-    assert f"the total error is {again.result.total_error:.2f} mm, and was " in done.stderr
+    assert f"the total error is {again.result.total_error:.2f} mm now, and was " in done.stderr
     assert "digests" not in done.stderr
 
 

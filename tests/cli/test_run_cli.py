@@ -175,7 +175,7 @@ def test_a_second_interruption_does_not_wait_for_the_plan(tmp_path, jobs):
         running.process.send_signal(signal.SIGINT)
         running.process.send_signal(signal.SIGTERM)
         assert running.end() == 130
-        assert_interrupted(running, jobs, "stopped at once by a second interruption")
+        assert_interrupted(running, jobs, "a second interruption stopped the trial at once")
 
 
 @pytest.mark.system
@@ -186,7 +186,7 @@ def test_one_interruption_ends_trials_in_several_processes(tmp_path, everyone):
         send = os.killpg if everyone else os.kill
         send(running.process.pid, signal.SIGINT)
         assert running.end() == 130
-        assert_interrupted(running, 2, "interrupted; the step was finished")
+        assert_interrupted(running, 2, "interrupted; the control step was finished first")
 
 
 @pytest.mark.long

@@ -41,7 +41,7 @@ def test_every_signal_finishes_the_step_and_the_log(tmp_path, name):
         running.until_logging(1, size=30_000)
         running.process.send_signal(getattr(signal, name))
         assert running.end() == 130
-        assert_interrupted(running, 1, "interrupted; the step was finished")
+        assert_interrupted(running, 1, "interrupted; the control step was finished first")
 
 
 @pytest.mark.parametrize("module", first_of(MODULES, also=["tetractl.run.task"]))

@@ -25,8 +25,8 @@ WARNINGS = [
     "can achieve a smaller error with these a, speeds, starts and targets",
     "warning: alike.yaml:5:59: robots.1.a: 6: two turns at the same rate as one and starts with "
     "the same heading, so the 2 can only move in parallel: their total error cannot fall below "
-    "50 mm; give the robots different a, or targets with the same relative positions as their "
-    "starts",
+    "50 mm; give the robots different turning rates a, or targets with the same relative "
+    "positions as their starts",
 ]
 
 
@@ -109,7 +109,7 @@ def test_json_holds_warnings_and_the_least_error(tetractl):
     first, second = doubtful["warnings"]
     assert (first["field"], first["line"], first["column"]) == ("robots", 4, 3)
     assert (second["field"], second["line"], second["value"]) == ("robots.1.a", 5, "6")
-    assert second["hint"].startswith("give the robots different a")
+    assert second["hint"].startswith("give the robots different turning rates a")
 
 
 def test_set_replaces_a_value_of_every_arm_of_a_study(tetractl, tmp_path):

@@ -33,9 +33,9 @@ def analyze(
 ) -> int:
     """Simulate trials, and report how well the robots can be steered together.
 
-    Prints how many combinations of the robots' end positions one signal can move, which two robots
-    have the most similar turning rates a, and the statistics of the trials, as `stats` prints them.
-    The logs are not kept: `run` keeps them.
+    The command prints how many independent combinations of the robots' end positions the common
+    signal can change, which two robots have the most similar turning rates a, and the statistics of
+    the trials, as `stats` prints them. It keeps no logs; to keep them, use `run`.
 
     Example: tetractl analyze experiments/tetrahymena.yaml
     """

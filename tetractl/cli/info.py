@@ -151,7 +151,7 @@ def _describe_estimate(log: "Overview") -> dict[str, str]:
         lines["the model does not fit"] = ", ".join(sorted(unexplained_turning))
     unexplained_positions = estimate.list_unexplained(names, POSITION_INNOVATIONS)
     if unexplained_positions:
-        lines["not as predicted, which does not affect a"] = ", ".join(
+        lines["not as predicted, but without effect on a"] = ", ".join(
             sorted(unexplained_positions)
         )
     return lines

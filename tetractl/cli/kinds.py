@@ -40,7 +40,7 @@ def kinds(
         list[str] | None,
         option(
             "FIELD=VALUE",
-            "Set a field of the kind that is checked. Needs --check. Can be repeated.",
+            "Set a field of the class that --check names. Needs --check. Can be repeated.",
             "--set",
         ),
     ] = None,

@@ -41,10 +41,10 @@ def rerun(
 ) -> int:
     """Run the trial of a log again, and compare the two logs.
 
-    The command uses the spec and the seed in the log. A trial in virtual time repeats exactly on
-    its plant; the exit code is 1 if the two logs differ in content. With --set, the trial is a
-    different one, for instance with another controller, and the command prints the total errors of
-    both. The trial of a log from a lab is simulated. Robots move only with --plant lab.
+    The command uses the spec and the seed in the log. A trial in virtual time must repeat exactly:
+    if the two logs differ in content, the exit code is 1. With --set, you change the spec, for
+    instance to another controller; the command then prints the total errors of both trials. If the
+    log comes from a lab, the new trial is simulated. Robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
@@ -106,8 +106,8 @@ def _print_errors(raw_log: "RawLog", raw_again: "RawLog") -> None:
     error_again = result_of(raw_again).result.total_error
     unit = raw_log.run.unit
     ui.print_messages(
-        f"the total error is {error_again:.2f} {unit}, and was {error:.2f} {unit} in "
-        "the log; nothing else is compared, because the specs differ"
+        f"the total error is {error_again:.2f} {unit} now, and was {error:.2f} {unit} in "
+        "the log; nothing else is compared, because the two specs differ"
     )
 
 
@@ -123,7 +123,7 @@ def _compare_logs(raw_log: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> 
     if plant.type != plant_again.type or plant.real_time:
         name = PLANT_NAMES.get(plant.type, plant.type)
         name_again = PLANT_NAMES.get(plant_again.type, plant_again.type)
-        names = f"the log comes from {name}, but the new one from {name_again}"
+        names = f"the log comes from {name}, but the new log comes from {name_again}"
         if name == name_again:
             names = f"both logs come from {name}"
         ui.print_messages(f"{names}, so they are not compared")

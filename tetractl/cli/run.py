@@ -58,9 +58,9 @@ def run(
     the robots with Enter. Without a terminal, give --yes.
 
     With --keep-going, a batch goes on after an abort if the camera showed that the robots stand
-    still. In the lab, the next trial waits until they are back at their starts, as between all
-    trials. The batch still ends after an emergency stop, after the failure of a device, if a robot
-    may still move, and if the next trial cannot start. The exit code of a batch with an aborted
+    still. In the lab, every trial waits until the robots are back at their starts. The batch still
+    ends after an emergency stop, after the failure of a device, if a robot may still move, or if
+    the next trial cannot start. The exit code of a batch with an aborted
     trial is 1.
 
     With --rate 1, or with --serve, a simulated trial takes as long as a real one.

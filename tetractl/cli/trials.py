@@ -184,7 +184,7 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
     from tetractl.run.logged_trial import log_path
     from tetractl.spec.loaded_spec import resolved_yaml
 
-    print(f"# {loaded.name} as it would be run; nothing is run or written")
+    print(f"# The complete spec of {loaded.name}; nothing is run or written")
     for line in resolved_yaml(loaded.experiment).removesuffix("\n").split("\n"):
         print(printable(line))
     print("# Limits")

@@ -61,14 +61,17 @@ def check_plan(plan: Plan, robots: int) -> None:
     """
     signal_count = plan.signals.size
     if plan.signals.shape != (signal_count,) or plan.path.shape != (signal_count + 1, robots, 3):
-        shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
-        raise ValueError(f"a path has shape {shapes} and {robots} robots")
+        raise ValueError(
+            f"a path has shape {plan.path.shape} and its signals have shape {plan.signals.shape}, "
+            f"but for {robots} robots and n signals, the shapes must be (n + 1, {robots}, 3) and "
+            "(n,)"
+        )
     searches = plan.searches
     for search in searches:
         if not (search.signals.shape == (search.length,) and search.length):
             raise ValueError(
-                f"a search of length {_format_integer(search.length)} has a different number of "
-                "signals"
+                f"the `length` of a search is {_format_integer(search.length)}, but it must be the "
+                "number of its signals, and at least 1"
             )
         if search.history.ndim != 1 or not search.history.size:
             raise ValueError("the history of a search must be a list of one or more numbers")

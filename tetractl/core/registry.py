@@ -124,7 +124,7 @@ class Registry:
         declaration = f"{entry_point.name} = {entry_point.value} of {self.group}"
         return PluginError(
             f"{package} {version}: the {self.what} '{entry_point.name}' cannot be used: {reason}",
-            f"the package's entry point is '{declaration}'; update or uninstall the package",
+            f"update or uninstall the package, whose entry point is '{declaration}'",
         )
 
     @cached_property

@@ -55,7 +55,9 @@ CAMERA_MOVED = (
     "origin moved, or does another program drive the robots?"
 )
 RADIO_SLOW = "all robots move as they were commanded {:.1f} s earlier: is the radio slow?"
-NUMBERS_SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
+NUMBERS_SWAPPED = (
+    "{} and {} follow each other's commands: are their numbers or bodies swapped in the spec?"
+)
 
 
 class AbortCause:

@@ -289,7 +289,7 @@ class _CalibrationBench:
         if not radius_min_mm < radius_mm < radius_max_mm:
             raise AbortError(
                 f"{self.name}: the measured distance from a wheel to the robot's centre, "
-                f"{radius_mm:.0f} mm, is impossible; do the wheels roll freely?"
+                f"{radius_mm:.0f} mm, is impossible; check that the wheels roll freely"
             )
         return radius_mm
 

@@ -200,5 +200,6 @@ class CameraStream:
         if not self.outdated_count:
             return message
         return (
-            f"{message}: {self.outdated_count} outdated frames came, the last {self.outdated_text}"
+            f"{message}: {self.outdated_count} outdated frames came, and the last of them was "
+            f"{self.outdated_text}"
         )

@@ -133,8 +133,8 @@ TURNS_TEXT = (
     "have been false since the start; this trial alone cannot distinguish the two: {}"
 )
 WRONG_WHEELS = (
-    "{}'s left wheel is {:+.0%} off its commanded speed, and its right one {:+.0%}: is it "
-    "calibrated, or does the camera track another body as this robot?"
+    "{}'s left wheel is {:+.0%} off its commanded speed, and its right wheel is {:+.0%} off: "
+    "calibrate the robot, and check that the camera does not track another body as this robot"
 )
 
 

@@ -393,7 +393,8 @@ class Guard:
         pace.last_late_ns = pace.last_step_ns if was_late else pace.last_late_ns
         if pace.late_steps >= self.rules.limits.late_steps and self._is_in_run:
             excess = Excess("late steps", pace.late_steps, self.rules.limits.late_steps)
-            self.abort(f"{pace.late_steps} control steps in a row were late", excess=excess)
+            reason = f"{pace.late_steps} control steps in a row were late: is this computer busy?"
+            self.abort(reason, excess=excess)
 
     def record_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
@@ -417,7 +418,11 @@ class Guard:
         """
         excess = check_program(self.rules, self._pace, now_ns)
         if self._is_in_run and excess is not None:
-            self.abort(f"this program stood still for {excess.value:.1f} s", excess=excess)
+            reason = (
+                f"this program stood still for {excess.value:.1f} s: did the computer sleep, or "
+                "was the process suspended?"
+            )
+            self.abort(reason, excess=excess)
         self._pace.last_step_ns = now_ns
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
@@ -435,7 +440,7 @@ class Guard:
             self.abort(frame.fault)
         if not self._stream.add_frame(frame, self._pace.has_begun):
             if self._is_in_run and self._stream.dropped_count == 1:
-                self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
+                self._warn_once(f"dropped a late camera frame: it was {self._stream.outdated_text}")
             return None
         was_in_run = self._is_in_run
         times_ns = frame.times([robot.last_pose_ns for robot in self._robots])
@@ -642,8 +647,8 @@ class Guard:
                 self.lose_robot(i, robot.untracked_message, decision.excess or tracking_excess)
             elif absence_excess is not None:
                 rarely_seen_text = (
-                    "is seen too rarely: too many frames are missing, or it is "
-                    "missing in too many frames"
+                    "is seen too rarely: the camera sends too few frames, or too few of them "
+                    "show this robot"
                 )
                 self.lose_robot(i, f"{robot.name} {rarely_seen_text}", absence_excess)
             if self.state is GuardState.ABORT:

@@ -483,9 +483,10 @@ def describe_frame_fault(frame: CameraFrame, n_robots: int) -> str:
     if not is_loggable:
         return "a frame that cannot be logged: a number is missing, not finite or too large"
     if frame.received_ns < frame.sampled_ns:
-        return f"a frame received {frame.sampled_ns - frame.received_ns} ns before exposure"
+        early_ns = frame.sampled_ns - frame.received_ns
+        return f"a frame that was received {early_ns} ns before it was exposed"
     if any(exposed_ns > frame.sampled_ns for exposed_ns in frame.exposed_ns):
-        return "a pose exposed after the time of its frame"
+        return "a pose that was exposed later than its frame"
     return ""
 
 
@@ -514,7 +515,8 @@ def describe_transmission_fault(transmission: object, n_robots: int, now_ns: int
             return unloggable_message
     if not 0 <= transmission.sent_ns <= now_ns:
         return (
-            f"a transmission sent at {transmission.sent_ns} ns, not between 0 and now, {now_ns} ns"
+            f"a transmission that was sent at {transmission.sent_ns} ns, but this time must be "
+            f"from 0 to the present time, {now_ns} ns"
         )
     return ""
 

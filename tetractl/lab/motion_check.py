@@ -86,25 +86,29 @@ Below it, a disturbance moves the robot.
 """
 
 POSE_REPEATS = (
-    "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
+    "its pose repeats to the last bit, although the robot is commanded to move: is the camera "
+    "frozen?"
 )
 DOES_NOT_MOVE = (
-    "does not move though commanded to: is a wheel stuck, is the robot on its back or "
-    "without power or link, or is the camera frozen?"
+    "does not move although it is commanded to: check its power, its link and its wheels, whether "
+    "it lies on its back, and whether the camera is frozen"
 )
-MOVES_BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
-TURNS_WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
+MOVES_BACKWARD = "moves backward: is its heading offset wrong, or do its motors run backwards?"
+TURNS_WRONG_WAY = (
+    "turns the wrong way: are its left and right wheels swapped, or do its motors run backwards?"
+)
 MESSAGES_OF_CELLS = {
     DOES_NOT_MOVE: "does not swim: is it stuck or dead, or is the camera frozen?",
     MOVES_BACKWARD: (
-        "moves backward: is its heading reversed, or another cell tracked in its place?"
+        "moves backward: is its heading reversed, or does the camera track another cell in its "
+        "place?"
     ),
     TURNS_WRONG_WAY: (
         "turns away from the field: is the camera's rotation or the field's sign wrong?"
     ),
 }
 """Messages for robots without wheels, instead of those for robots on wheels."""
-AS_NO_COMMAND = "as no command does"
+AS_NO_COMMAND = "in a way that no command explains"
 PUSHED_QUESTION = ": was it pushed, or does the camera track another body as this robot?"
 MOVES_UNEXPLAINED = f"moves {{}} {AS_NO_COMMAND}{PUSHED_QUESTION}"
 """Message about a motion that no command explains. The placeholder is for one of PARTS."""

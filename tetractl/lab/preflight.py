@@ -195,11 +195,16 @@ def inspect(rig: Rig) -> Preflight:
     is_slow = measured_hz is not None and measured_hz < RATE_FRACTION_MIN * own_hz
     warnings = [*camera.warnings, *actuator.warnings, *describe_quarter_turns(rig, newest)]
     if is_slow:
-        warnings.append(f"only {measured_hz:.0f} frames per second come instead of {own_hz:.0f}")
+        warnings.append(
+            f"the camera sends only {measured_hz:.0f} frames per second instead of {own_hz:.0f}"
+        )
     if n_dropped:
         warnings.append(describe_dropped_frames(n_dropped))
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
-        problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
+        problems.append(
+            f"camera frames are {latency_ms[0]:.0f} ms old on arrival, but limits.latency allows "
+            f"only {1000 * rig.limits.latency:g} ms"
+        )
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
         problems += _describe_unknown_objects(rig, newest.frame)
         problems += describe_drifting_robots(rig)
@@ -262,7 +267,9 @@ def describe_quarter_turns(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
 
 def describe_dropped_frames(n_dropped: int) -> str:
     """Create a warning that a number of frames were dropped, because newer frames came first."""
-    return f"camera frames dropped, because later frames had already come: {n_dropped}"
+    if n_dropped == 1:
+        return "1 camera frame was dropped, because a later frame had already arrived"
+    return f"{n_dropped} camera frames were dropped, because later frames had already arrived"
 
 
 def _check_robot(
@@ -278,9 +285,14 @@ def _check_robot(
     heading_error = math.remainder(pose.heading - starts.heading[index], math.tau)
     misplaced = ""
     if off_mm > limits.start_mm:
-        misplaced = f"{name} is {off_mm:.0f} mm from its start"
+        misplaced = (
+            f"{name} is {off_mm:.0f} mm from its start (at most {limits.start_mm:g} mm are allowed)"
+        )
     elif abs(heading_error) > limits.start_heading:
-        misplaced = f"{name} is turned by {heading_error:+.2f} rad from its start heading"
+        misplaced = (
+            f"{name} is turned by {heading_error:+.2f} rad from its start heading "
+            f"(at most {limits.start_heading:g} rad are allowed)"
+        )
     return RobotFinding(name, off_mm, heading_error, misplaced, "", status)
 
 
@@ -288,7 +300,10 @@ def _describe_unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
     """Describe each unknown object that the camera sees in the arena, in one line."""
     inside = [pose for pose in frame.unknown_objects if rig.setup.arena.contains(pose.x, pose.y)]
     unit = rig.setup.unit
-    return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f} {unit}" for p in inside]
+    return [
+        f"an unknown object is in the arena at {p.x:.0f}, {p.y:.0f} {unit}: remove it"
+        for p in inside
+    ]
 
 
 def _watch_frames(rig: Rig) -> list[CameraFrame]:

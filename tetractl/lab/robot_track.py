@@ -125,7 +125,7 @@ class RobotTrack:
     def untracked_message(self) -> str:
         """A message that the robot is not tracked, for how long and, if known, why."""
         reason = f": {self.decision.refusal}" if self.decision.refusal else ""
-        return f"{self.name} is not tracked{reason} ({self.untracked_ns / SECOND:.2f} s)"
+        return f"{self.name} is not tracked{reason} (for {self.untracked_ns / SECOND:.2f} s)"
 
     @property
     def is_hidden(self) -> bool:
@@ -226,9 +226,16 @@ class RobotTrack:
             pose.height is not None
             and not lowest_mm / mm_per_unit <= pose.height <= highest_mm / mm_per_unit
         ):
-            return f"its body is at a height of {pose.height * mm_per_unit:.0f} mm"
-        if pose.tilt is not None and not pose.tilt <= self.rules.limits.tilt:
-            return f"its body is tilted by {pose.tilt:.2f} rad"
+            return (
+                f"its body is at a height of {pose.height * mm_per_unit:.0f} mm, but "
+                f"limits.height_mm allows only {lowest_mm:g} to {highest_mm:g} mm"
+            )
+        tilt_max = self.rules.limits.tilt
+        if pose.tilt is not None and not pose.tilt <= tilt_max:
+            return (
+                f"its body is tilted by {pose.tilt:.2f} rad, but limits.tilt allows only "
+                f"{tilt_max:g} rad"
+            )
         return ""
 
     def _describe_lift(self, pose: Pose) -> str:

@@ -190,7 +190,11 @@ class SimSection(PlantSection):
                 f"{message}, but at most {POSES_MAX:g} are allowed; lower the rate",
             )
         if self.drive is not None and self.cells is not None:
-            yield ("cells",), "have no wheels in this spec; leave out 'drive' or 'cells'"
+            yield (
+                ("cells",),
+                "cannot be combined with 'drive', because cells have no wheels; leave out one of "
+                "the two",
+            )
         if self.drive is not None and not setup.on_wheels:
             yield (
                 ("drive",),
@@ -199,8 +203,8 @@ class SimSection(PlantSection):
         repeats_hz = None if self.drive is None else self.drive.rate
         transmissions_hz = repeats_hz or 1 / setup.period_s
         if transmissions_hz * setup.watchdog_s <= 1:
-            robots = f"robots with a watchdog of {setup.watchdog_s:g} s"
-            message = f"at {transmissions_hz:g} Hz, {robots} would stop between two commands"
+            message = f"the robots receive {transmissions_hz:g} commands per second, but their "
+            message += f"watchdog of {setup.watchdog_s:g} s would stop them between two commands"
             yield ("drive",), f"{message}; shorten controller.period"
 
     @property

@@ -127,11 +127,16 @@ class Reach:
         for group in self.identical:
             sentence = f"{', '.join(group[:-1])} and {group[-1]} move in the same way"
             if separable_names.isdisjoint(group):
-                sentence += f", and still would if their a differed by {100 * RATE_CHANGES[-1]:g} %"
+                sentence += (
+                    ", and would do so even if their turning rates a differed by "
+                    f"{100 * RATE_CHANGES[-1]:g} %"
+                )
             sentences.append(sentence)
         for separable in self.separable:
             change = f"from {separable.a:.4g} to {separable.a_advised:.4g}"
-            sentences.append(f"a change of the a of {separable.robot} {change} would separate them")
+            sentences.append(
+                f"changing the turning rate a of {separable.robot} {change} separates them"
+            )
         sentences += [f"{name} has speed 0" for name in self.still]
         return "; ".join(sentences)
 

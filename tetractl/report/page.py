@@ -378,8 +378,8 @@ def _provenance_html(log: TrialLog) -> str:
     spec_name = escape(start.spec_name)
     spec_hash = escape(start.spec_hash[:16])
     return (
-        f"<section><h2>Provenance</h2><p>Of the first trial, seed {start.seed}, spec"
-        f" {spec_name}, hash {spec_hash}.</p>"
+        f"<section><h2>Provenance</h2><p>The first trial used the seed {start.seed} and the spec"
+        f" {spec_name} with the hash {spec_hash}.</p>"
         f"<details><summary>Host and versions</summary><dl>{''.join(facts)}</dl></details>"
         "<details><summary>Spec with every default</summary>"
         f"<pre>{escape(start.resolved)}</pre></details></section>"

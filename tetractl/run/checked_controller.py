@@ -81,7 +81,7 @@ class CheckedController:
         try:
             return self._check_decision(decision)
         except ValueError as error:
-            message = f"a {type(decision).__name__} that cannot be used: {error}"
+            message = f"a {type(decision).__name__} that is not valid: {error}"
             controller_name = f"controller '{self._section.type}'"
             raise WrongValueError(controller_name, message) from None
 
@@ -90,7 +90,7 @@ class CheckedController:
         if isinstance(decision, Outcome):
             return _check_outcome(decision)
         if not isinstance(decision, Plan | End):
-            raise ValueError("it is not a Plan, an Outcome or an End")
+            raise ValueError("the method `plan` must return a Plan, an Outcome or an End")
         checked: Plan | End = decision
         if not self._is_built_in:
             checked = _convert_record(Plan if isinstance(decision, Plan) else End, decision)
@@ -107,21 +107,23 @@ class CheckedController:
             )
             if checked.signals.size + checked.path.size + search_number_count > PLAN_SIZE_MAX:
                 raise ValueError(
-                    f"its plan has more than {PLAN_SIZE_MAX} numbers in its "
-                    "signals, path and searches, too many to log"
+                    "its signals, path and searches together have more than "
+                    f"{PLAN_SIZE_MAX} numbers, which is too many to log"
                 )
             if not 0 <= checked.chosen < len(checked.searches):
                 raise ValueError(
-                    f"its field chosen is {checked.chosen}, but there are "
-                    f"{len(checked.searches)} searches"
+                    f"its field `chosen` is {checked.chosen}, but it must be from 0 to "
+                    f"{len(checked.searches) - 1}, the index of one of its searches"
                 )
             if not (0 <= checked.leg <= self._leg_count and 0 <= checked.generator < 1 << 64):
                 raise ValueError(
-                    f"its field leg is {checked.leg}, and generator is {checked.generator}"
+                    f"its field `leg` is {checked.leg}, and must be from 0 to {self._leg_count}; "
+                    f"its field `generator` is {checked.generator}, and must be from 0 to 2^64 - 1"
                 )
         if not 0 <= checked.delay_ns <= round(self._setup.period_s * SECOND):
             raise ValueError(
-                f"its field delay_ns is {checked.delay_ns}, which is not within a control period"
+                f"its field `delay_ns` is {checked.delay_ns}, but it must be from 0 to one control "
+                f"period, {round(self._setup.period_s * SECOND)} ns"
             )
         return checked
 
@@ -158,7 +160,7 @@ def _to_array(value: Any) -> Floats:
 
 def _check_outcome(value: Any) -> Outcome:
     if not (isinstance(value, Outcome) and value.complete):
-        raise ValueError(f"{value} is not an Outcome with which a controller can end a trial")
+        raise ValueError(f"a controller cannot end a trial with the outcome {value}")
     return value
 
 

@@ -86,10 +86,10 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.motion_at_rest import RestMonitor
 from tetractl.tools.plugin_fault import PluginTrialError, create_plugin_error
 
-INTERRUPTED_AT_ONCE = "stopped at once by a second interruption"
-INTERRUPTED_AFTER_STEP = "interrupted; the step was finished"
-TURNING_TEXT = "all robots turn on the spot: they have no safe path ahead"
-PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
+INTERRUPTED_AT_ONCE = "a second interruption stopped the trial at once"
+INTERRUPTED_AFTER_STEP = "interrupted; the control step was finished first"
+TURNING_TEXT = "all robots turn on the spot, because they have no safe path ahead"
+PAUSING_TEXT = "all robots pause until the next plan starts, or until the trial ends"
 
 TimedDecision = tuple[Decision, int]
 """A decision of the controller, and the wall time that it needed [ns]."""
@@ -525,7 +525,7 @@ class Trial:
             return
         self._dead_count = dead_count
         continuation = (
-            "" if self._route_measure.dead_not_lost.any() else ": the trial goes on without"
+            "" if self._route_measure.dead_not_lost.any() else ": the trial goes on without them"
         )
         text = describe_dead(self._start.setup.names, self._route_measure.losses.dead)
         self._report(t_ns, text + continuation, "warning")

@@ -70,8 +70,8 @@ LATENCY_FIELD = "lab.camera.latency"
 HOST_DELAY_FIELDS = "the host's delay (plant.drive.lead, lab.actuator.delay)"
 """Fields of the spec that state the delay in the host of robots on wheels, as a user knows them."""
 NOISE_UNSTATED = (
-    "headings are not as predicted, and the spec does not state the camera's noise: "
-    "controller.prior.position_noise, heading_noise"
+    "headings are not as predicted, perhaps because the spec does not state the camera's noise: "
+    "set controller.prior.position_noise and heading_noise"
 )
 """The warning if the headings of cells do not fit and the spec does not state the camera's noise.
 In three specs that did not state it, the interval of the turning rate was right for 40 of 43 such
@@ -138,8 +138,8 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
     delays = " or ".join(stated.delay_fields)
     order = "later" if estimated_s > stated.dead_time_s else "earlier"
     return (
-        f"commands act {order} than {stated.dead_time_s:.3f} s after they are sent, as the spec "
-        f"says: is {delays} wrong? The controller estimates {estimated_s:.3f} s, which is "
+        f"the spec says that commands act {stated.dead_time_s:.3f} s after they are sent, but they "
+        f"act {order}: check {delays}. The controller estimates {estimated_s:.3f} s, but this is "
         "uncertain while its model does not fit"
     )
 
@@ -158,9 +158,9 @@ def describe_lag_error(estimate: Estimate, setup: Setup) -> str:
     if (errors_s <= max(LAG_ERROR_S, CHANGE_STDS * float(estimate.lag_std.max()))).any():
         return ""
     return (
-        f"the wheels follow with a lag of {lag_s:.2f} s, but the spec says {setup.lag_s:.2f} "
-        "s: the controller uses the lag that it has found; put it into the spec "
-        "(wheels.lag, lab.lag)"
+        f"the wheels follow their commands with a lag of {lag_s:.2f} s, but the spec says "
+        f"{setup.lag_s:.2f} s: the controller already uses the measured lag; put this value into "
+        "the spec as well (wheels.lag or lab.lag)"
     )
 
 
@@ -179,7 +179,7 @@ def describe_turning(estimate: Estimate, robot: int) -> str:
         descriptions.append(f"turns {percent:.0f} % faster to the {faster_side}")
     if saturation is not None and side is not None and saturation[robot] < 1:
         max_rate = estimate.a[robot] * exp(abs(side[robot])) * saturation[robot]
-        descriptions.append(f"turns at {max_rate:.2g} rad/s at most")
+        descriptions.append(f"never turns faster than {max_rate:.2g} rad/s")
     return ", ".join(descriptions)
 
 
@@ -397,8 +397,8 @@ class ModelMonitor:
             self._late_since_ns_by_name[name] = previous_since_ns.get(name, now_ns)
             if now_ns - self._late_since_ns_by_name[name] >= LATE_ROBOT_DURATION_S * SECOND:
                 text = (
-                    f"commands act on {name} about {difference_s:.2f} s later than on "
-                    f"{setup.names[quickest]}, or even later"
+                    f"commands act on {name} at least about {difference_s:.2f} s later than on "
+                    f"{setup.names[quickest]}"
                 )
                 late_robots.append((name, text))
         return late_robots

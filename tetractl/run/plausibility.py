@@ -158,8 +158,8 @@ def turns_faster_than_robots(context: CheckContext) -> Findings:
     for i, rate in enumerate(context.setup.a.tolist()):
         if rate > A_MAX:
             text = (
-                f"is {rate:g} rad/s, so that the robot turns to any direction within "
-                f"{3 / rate:.2g} s"
+                f"is {rate:g} rad/s, which is implausibly fast: the robot would turn to any "
+                f"direction within {3 / rate:.2g} s"
             )
             hint = f"if this is in degrees per second, write {math.radians(rate):.4g}"
             yield SpecFinding(("robots", i, "a"), text, hint)
@@ -172,10 +172,9 @@ def robots_of_another_size(context: CheckContext) -> Findings:
         return
     radius_m = setup.wheel_radius * setup.metres
     if not WHEEL_RADIUS_RANGE_M[0] <= radius_m <= WHEEL_RADIUS_RANGE_M[1]:
-        text = f"makes robots whose wheels are {2 * radius_m:.3g} m apart"
-        yield SpecFinding(
-            ("wheels", "radius"), text, f"is the length unit units.length, {setup.unit}, right?"
-        )
+        text = f"means that the wheels of each robot are {2 * radius_m:.3g} m apart"
+        hint = f"check the value, and the length unit of the spec (units.length: {setup.unit})"
+        yield SpecFinding(("wheels", "radius"), text, hint)
 
 
 def _angles_in_section(section: BaseModel, location: Loc) -> Iterator[tuple[Loc, float]]:
@@ -218,17 +217,20 @@ def signals_held_too_long(context: CheckContext) -> Findings:
         return
     if overshoots:
         reason = (
-            "by the paper's equation (6), its heading overshoots a held direction "
-            "further at each step"
+            "by equation (6) of the paper, its heading then overshoots the direction further at "
+            "each step"
         )
     else:
         # a small angle to the direction falls by exp(-a T): the slowest of them turns least
         percent = 100 * -expm1(-float(excessive_turns.min()))
-        reason = f"{excessive_turns.size} robots turn by {percent:.3g} % or more of a turn within T"
+        reason = (
+            f"{excessive_turns.size} robots complete {percent:.3g} % or more of every turn within "
+            "one signal"
+        )
     quickest = int(turns_per_signal.argmax())
     yield SpecFinding(
         ("controller", "period"),
-        f"signals of T = {context.signal_s:.4g} s are too long for "
+        f"each signal lasts T = {context.signal_s:.4g} s, which is too long for "
         f"{context.setup.names[quickest]}: its turning rate a times T is "
         f"{turns_per_signal[quickest]:.3g}, above {TURN_PER_SIGNAL_MAX:g}: {reason}",
         f"hold signals for less than {TURN_PER_SIGNAL_MAX / context.setup.a[quickest]:.3g} s",
@@ -274,8 +276,8 @@ def inseparable_robots(context: CheckContext) -> Findings:
             yield SpecFinding(
                 ("robots", group[1], "a"),
                 _describe_similar(similar, context.length_text(error_min)),
-                "give the robots different a, or targets with the same relative positions "
-                "as their starts",
+                "give the robots different turning rates a, or targets with the same relative "
+                "positions as their starts",
             )
 
 
@@ -427,8 +429,8 @@ def points_inside_margin(context: CheckContext) -> Findings:
         for i in np.flatnonzero(gaps <= context.margin).tolist():
             yield SpecFinding(
                 ("robots", i, field),
-                f"is {gaps[i]:.4g} {context.unit} from the nearest obstacle or wall, but "
-                f"plans keep a distance of {context.margin:.4g} {context.unit}",
+                f"is {gaps[i]:.4g} {context.unit} from the nearest obstacle or wall, but the "
+                f"controller's plans keep a distance of {context.margin:.4g} {context.unit}",
                 "move it, or lower controller.collision.margin or radius",
             )
 
@@ -445,9 +447,9 @@ def targets_near_obstacles(context: CheckContext) -> Findings:
     for i in np.flatnonzero(free_space < context.collision.margin + step_distances).tolist():
         yield SpecFinding(
             ("robots", i, "target"),
-            f"leaves a body only {free_space[i]:.3g} {context.unit} of free space to the nearest "
-            f"obstacle or edge, but the robot drives {step_distances[i]:.3g} {context.unit} in a "
-            "control period",
+            f"leaves only {free_space[i]:.3g} {context.unit} of free space between the robot's "
+            "body and the nearest obstacle or edge, but the robot drives "
+            f"{step_distances[i]:.3g} {context.unit} in a control period",
             "move the target, or shorten the control period; otherwise a trial may end far "
             "from the target",
         )
@@ -462,7 +464,7 @@ def accepts_less_than_noise(context: CheckContext) -> Findings:
     if control.accept_error < error_min:
         yield SpecFinding(
             ("controller", "accept_error"),
-            f"is less than {NOISE_FACTOR} x position_noise x robots, {error_min:.3g} "
+            f"is less than {NOISE_FACTOR} x position_noise x number of robots, {error_min:.3g} "
             f"{context.unit}: the camera can hardly measure such a small error, so that "
             "trials take longer and gain little",
             f"set it to {error_min:.3g} {context.unit} or more",
@@ -516,11 +518,10 @@ def targets_near_each_other(context: CheckContext) -> Findings:
             gap = context.length_text(distance)
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is {gap} from the target of {neighbour}, so that bodies might touch: the "
-                f"controller leads the two robots to places {separation_min:.4g} {context.unit} "
-                "apart",
-                "move the targets apart; otherwise a trial ends about "
-                f"{separation_min - distance:.2g} {context.unit} off them",
+                f"is only {gap} from the target of {neighbour}, so that the two robots might "
+                f"touch: the controller keeps them {separation_min:.4g} {context.unit} apart",
+                "move the targets apart; otherwise a trial ends with a total error of about "
+                f"{separation_min - distance:.2g} {context.unit} or more",
             )
 
 
@@ -532,8 +533,8 @@ def hold_radius_too_small(context: CheckContext) -> Findings:
     for name, radius_min in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
         if setup.hold.radius < radius_min:
             text = (
-                f"is less than v / a of {name}, {radius_min:.4g} {context.unit}, which is its "
-                "smallest possible mean distance"
+                f"is too small: {name} cannot stay closer to its target than its speed divided by "
+                f"its turning rate a, {radius_min:.4g} {context.unit} on average"
             )
             yield SpecFinding(
                 ("hold", "radius"), text, "give a larger value, or use a stronger field"

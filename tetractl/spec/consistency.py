@@ -162,8 +162,8 @@ def find_section_errors(experiment: Experiment) -> Findings:
     """
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
-        message = f"cannot switch off the field, as the controller {control.type} does"
-        yield SpecFinding(("plant",), f"{message}; simulations can")
+        message = f"cannot switch off the field, but the controller {control.type} does so"
+        yield SpecFinding(("plant",), f"{message}; use a simulation (type: sim)")
     if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
         message = f"controller {control.type} supports neither way-points nor a hold; use mpc"
         yield SpecFinding(("controller",), message)

@@ -451,7 +451,10 @@ def _lag_figures(trials: Sequence[ResultSummary]) -> list[Figure]:
     if distribution.ci95.known:
         interval = f", 95 % interval {distribution.ci95.text('{:.3f}'.format)}"
     stated_s = trials[0].experiment.setup.lag_s
-    text = f"{distribution.mean:.3f} found (n {len(lags_s)}{interval}), {stated_s:.3f} in the spec"
+    text = (
+        f"{distribution.mean:.3f} measured (n = {len(lags_s)}{interval}), {stated_s:.3f} in the "
+        "spec"
+    )
     is_wrong = abs(distribution.mean - stated_s) > LAG_ERROR_S
     return [Figure("lag of the wheels [s]", text, {"wheel_lag_s": distribution.mean}, is_wrong)]
 
@@ -489,12 +492,12 @@ def _describe_turns(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) ->
     text = f"{unusual_trials} of {trials} trials"
     if not unusual:
         largest = max(turn.limit_rad_s for turn in turns)
-        return f"{text}, turns above {largest:.2f} rad/s would be noticed"
+        return f"{text} (a change of a turning rate by over {largest:.2f} rad/s would be noticed)"
     descriptions = [
         f"{turn.robot} in {Path(turn.log).stem}, {turn.difference_rad_s:+.2f} rad/s"
         for turn in unusual
     ]
-    return f"{text}, by wheels that changed or false poses: {join_listed(descriptions, '; ')}"
+    return f"{text}, because wheels changed or poses are false: {join_listed(descriptions, '; ')}"
 
 
 TURN = Statistic(_turn_figures, turn_columns)

@@ -196,9 +196,9 @@ class Contrast(NotebookDisplay):
         if not self.same_origin:
             return "the plants differ"
         if self.no_controller:
-            return "directions were given, so no controller decided"
+            return "the directions were given, so there was no controller to compare"
         if self.compared < PAIRS_MIN:
-            needed = "pairs" if self.pairs else "complete trials on each side"
+            needed = "pairs of trials" if self.pairs else "complete trials in each batch"
             return f"a verdict needs at least {PAIRS_MIN} {needed}"
         for interval in self.intervals:
             if not interval.known:
@@ -381,7 +381,7 @@ def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, st
     if not (first.origin.simulated and second.origin.simulated):
         return NO_PAIRS, "no two trials in a lab have the same disturbances"
     if _world_fields(first) != _world_fields(second):
-        return NO_PAIRS, "the batches differ in more than the controller"
+        return NO_PAIRS, "the specs of the batches differ in more than the controller"
     first_errors = _errors_by_trial(first.batch.trials)
     second_errors = _errors_by_trial(second.batch.trials)
     paired_differences = [

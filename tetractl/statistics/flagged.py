@@ -232,10 +232,12 @@ def unconfirmed_heading_remarks(trials: Sequence[ResultSummary]) -> dict[str, li
             setup = trial.experiment.setup
             distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MILLIMETRE_M
             off_mm = abs(rate) * result.duration_s * distance_mm / 2
-            observation = f"it turned by {rate:+.2f} rad/s on its own"
-            consequence = f"if its wheels are equal, its position is up to {off_mm:.0f} mm off"
+            observation = f"{robot} turned by {rate:+.2f} rad/s without a command"
+            consequence = (
+                f"if its two wheels are the same, its position is wrong by up to {off_mm:.0f} mm"
+            )
             remarks[trial.log].append(
-                f"the heading of {robot} is not confirmed: {observation}; {consequence}"
+                f"the measured heading of {robot} may be wrong: {observation}; {consequence}"
             )
     return remarks
 

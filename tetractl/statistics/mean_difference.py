@@ -137,7 +137,7 @@ def from_both_intervals(first: Distribution, second: Distribution) -> Interval:
     below2, above2 = _distances_to_ends(second)
     if not all(map(math.isfinite, (below, above, below2, above2))):
         unknown = first if not first.ci95.known else second
-        return Interval.none(f"no interval of one of the means: {unknown.ci95.reason}")
+        return Interval.none(f"the mean of one batch has no interval: {unknown.ci95.reason}")
     if max(below, above, below2, above2) == 0:
         return Interval.none("the values do not vary on either side")
     difference = first.mean - second.mean

@@ -157,7 +157,7 @@ def figure_lines(group: BatchStatistics) -> Iterator[Figure]:
     """
     yield Figure("plant", str(group.origin), unusual=False)
     if group.experiment.gives_directions:
-        yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
+        yield Figure(GIVEN_DIRECTIONS, "no controller was used, so the batch is not ranked")
     if group.origin is Origin.DISTURBED:
         # the title of several batches says so
         yield Figure("disturbances", "assumed in the spec, not measured", brief="")
@@ -433,7 +433,7 @@ def _basis_table(contrasts: Sequence[Contrast]) -> Table:
         )
         for contrast in contrasts
     ]
-    return Table.of_texts("What the comparisons rest on", header, rows)
+    return Table.of_texts("Methods of the comparisons", header, rows)
 
 
 # ---- Every trial ----

@@ -68,5 +68,5 @@ def dry_run(loaded: LoadedStudy, folder: Path, tasks: Sequence[Task]) -> Table:
     to_run = Counter(task.arm for task in tasks)
     rows = [(arm.name, ", ".join(arm.sets), str(to_run[arm.name])) for arm in loaded.arms]
     count = len(loaded.arms) * loaded.study.trials.count
-    title = f"{loaded.study.name} as it would be run, {len(tasks)} of {count} trials into {folder}"
+    title = f"{loaded.study.name}: a run would add {len(tasks)} of {count} trials to {folder}"
     return Table.of_texts(title, ("arm", "differs from the base in", "trials to run"), rows)

@@ -144,8 +144,8 @@ def _step_difference(
         searches.require_time()
     except (TooLongError, MemoryError):
         message = (
-            f"the rest was not computed again, because it takes over {seconds_limit():g} "
-            "s or much memory"
+            "the rest was not computed again, because it would take more than "
+            f"{seconds_limit():g} s, or too much memory"
         )
         return Unchecked(
             step.k, "plan", f"{message}; with {FACTOR_VARIABLE}=2, twice as much is allowed"
@@ -160,7 +160,10 @@ def _step_difference(
         outcome = _outcome_of(decision)
         return Difference(step.k, "plan", f"the controller ends the trial: {outcome.value}")
     if decision.generator != step.plan.generator:
-        message = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
+        message = (
+            f"the log contains {step.plan.generator}, but the seed and the index of the trial give "
+            f"{decision.generator}"
+        )
         return Difference(step.k, "generator", message)
     if searches.contradiction is not None:
         return searches.contradiction.in_step(step.k)
@@ -495,7 +498,8 @@ def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterat
         yield Difference(None, f"{name}.history", "does not decrease to the stated cost")
     for field in _impossible_fields(request, logged):
         message = (
-            f"logged {getattr(logged, field)}, which contradicts its history and the spec's limits"
+            f"the log contains {getattr(logged, field)}, which contradicts the search's history or "
+            "the limits in the spec"
         )
         yield Difference(None, f"{name}.{field}", message)
 

@@ -54,9 +54,14 @@ class Method(StrEnum):
 class EndCheck(Enum):
     """The method by which the end of a trial is checked."""
 
-    NOTHING = "nothing: run and spec dispute the plant, or the log is damaged or without a result"
-    RECORDS = "the steps, frames and poses in the log: a lab, or a simulation that does not repeat"
-    AGAIN = "the simulation, run again"
+    NOTHING = (
+        "not checked, because the log is damaged or has no result, or its spec names another plant"
+    )
+    RECORDS = (
+        "checked against the steps, frames and poses in the log, because the plant is a lab, or a "
+        "simulation that cannot be repeated"
+    )
+    AGAIN = "checked by running the simulation again"
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ CAMERA_REASONS = (
 )
 MOTION_REASONS = (
     r"moves? |turns? |does not move|drift together|off its commanded speed|radio slow"
-    r"|camera or its origin|swapped|pose jumped|pose repeats|still moves|from its start|turned by"
+    r"|camera or its origin|swapped|pose jumped|pose repeats|still moves?|from its start|turned by"
 )
 PLACE_REASONS = r"about to leave|about to enter|too close"
 CELL_REASONS = r"respond to the field|divided, or has parted|been uncertain which cell|are needed"

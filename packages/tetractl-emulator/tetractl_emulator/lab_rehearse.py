@@ -80,10 +80,11 @@ def rehearse(
 ) -> int:
     """Test a lab against random faults in virtual time, without hardware.
 
-    Each day is a trial with faults that the seed determines. An observer that knows the truth
-    checks invariants. If a day violates one, its faults are written to a script for `plant.faults`.
-    Twenty days take a few minutes, or up to five if the lab has a picture camera. Without a
-    terminal, a line is printed for each day.
+    Each day is a trial with faults that the seed determines. An observer that knows how the robots
+    truly move checks rules that must always hold (invariants). If a day violates a rule, the
+    command writes the faults of that day to a script for `plant.faults`. Twenty days take a few
+    minutes, or up to five if the lab has a picture camera. Without a terminal, the command prints
+    one line for each day.
 
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
@@ -221,7 +222,7 @@ def rehearse_day(
         truth, violations = observe_day(outcome, experiment_of_day, lab)
         row = summarize_day(day, truth, violations, time.process_time() - start_s)
     if violations and folder is not None:
-        about = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
+        about = f"seed {seed}, day {day}: {violations[0].name}; the trial's seed is {plan.seed}"
         text = format_yaml(plan.script() | {"about": about})
         write_atomically(folder / f"seed-{seed}-day-{day}.yaml", text.encode())
     return row

@@ -226,7 +226,7 @@ def test_the_note_states_the_dead_time_and_how_old_frames_are():
     (table,) = tables(replace(identification_of(identified_robot()), frame_age=0.0317))
     first, second, *_ = table.note.splitlines()
     assert first == (
-        "dead time from sending: 0.0123 (0.0100 to 0.0200) s; "
+        "dead time after a direction is sent: 0.0123 (0.0100 to 0.0200) s; "
         "frames are 0.0317 s old when a direction is sent"
     )
     assert second == "the model fits"
@@ -234,9 +234,7 @@ def test_the_note_states_the_dead_time_and_how_old_frames_are():
 
 def test_the_note_names_the_robots_that_the_model_does_not_fit():
     (table,) = tables(identification_of(ODD_SPEED, identified_robot("fits"), ODD_HEADING))
-    assert (
-        "the model does not fit one (along the path); two (heading): speed or turning" in table.note
-    )
+    assert "the model does not fit one (along the path); two (heading): the speed or" in table.note
     assert "the model fits" not in table.note
     assert "frames are" not in table.note  # nobody knows
 

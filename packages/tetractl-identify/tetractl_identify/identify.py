@@ -154,7 +154,7 @@ def identify(
         standing_robot = names[int(np.argmin(speed))]
         raise UsageError(
             f"robot {standing_robot} does not move in these logs",
-            "the turning rate a can be identified only if the robot drives",
+            "give logs in which every robot drives: the turning rate a shows only then",
         )
 
     expected_a = np.full(len(names), DEFAULT_A) if a is None else a
@@ -346,22 +346,21 @@ def _spec_value(interval: SampleInterval) -> IdentifiedValue:
 _WHY_NO_INTERVALS = {
     None: "",
     Doubt.UNIFORM_TURNS: (
-        "a, heading bias and dead time have no intervals, because all "
-        "directions turn at one rate, and such directions cannot tell these "
-        "three values apart. Send directions that jump"
+        "a, heading bias and dead time have no intervals, because all directions turn at one "
+        "rate. With such directions, the three values cannot be distinguished. Record again with "
+        "directions that jump"
     ),
     Doubt.RATES_UNSTATED: (
-        "a, heading bias and dead time have no intervals, because they "
-        "assume that the host foresees the lag, as it does in logs and "
-        "exports. If the robots steer themselves, a may be 40 % off"
+        "a, heading bias and dead time have no intervals, because the fit assumes that the host "
+        "allows for the lag of the wheels, as it does in logs and exports. If the robots steer "
+        "themselves instead, a may be wrong by 40 %"
     ),
     Doubt.LAG_UNSTATED: (
-        "a, heading bias and dead time have no intervals. Wheels that lag, or "
-        "a host that sees headings late, would explain the turns as well or "
-        "better, and the dead time would then contain this lag. State the lag "
-        "(lag_s in a table, wheels.lag or lab.lag in a spec), measure it with "
-        "--wheels, or send directions that jump, which would show that there "
-        "is no lag"
+        "a, heading bias and dead time have no intervals, because the lag of the wheels is "
+        "unknown. Wheels with a lag, or a host that sees headings late, would explain the turns "
+        "as well or better, and the dead time would then contain this lag. State the lag (lag_s "
+        "in a table, wheels.lag or lab.lag in a spec), or measure it with --wheels, or record "
+        "with directions that jump, which can show that there is no lag"
     ),
 }
 
@@ -373,7 +372,7 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     """
     logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
     title = f"{logs}, {result.commands} directions: {result.origin}; 95 % intervals"
-    dead_time = f"dead time from sending: {cell(result.dead_time)} s"
+    dead_time = f"dead time after a direction is sent: {cell(result.dead_time)} s"
     if result.frame_age is not None:
         dead_time += f"; frames are {result.frame_age:.4f} s old when a direction is sent"
     notes = [
@@ -452,7 +451,10 @@ def _fit_text(robots: Sequence[FittedRobot]) -> str:
     misfits = [f"{robot.name} ({', '.join(robot.misfits)})" for robot in robots if robot.misfits]
     if not misfits:
         return "the model fits"
-    return f"the model does not fit {'; '.join(misfits)}: speed or turning varies over seconds"
+    return (
+        f"the model does not fit {'; '.join(misfits)}: the speed or the turning of these robots "
+        "varies within seconds"
+    )
 
 
 def cell(interval: SampleInterval) -> str:

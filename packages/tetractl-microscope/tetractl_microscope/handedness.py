@@ -141,9 +141,10 @@ def describe_handedness(turning: Handedness | None) -> tuple[list[str], str]:
     """
     if turning is None:
         return [
-            f"no result: fewer than {CELLS_MIN} cells were seen for 2 s while the field turned"
+            f"the image cannot be checked, because fewer than {CELLS_MIN} cells were seen for 2 s "
+            "while the field turned"
         ], "-"
-    angle_text = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"
+    angle_text = f"with an offset of {turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad"
     turning_text = (
         f"{100 * turning.explained:.0f} % of the turning of {turning.cells} cells is towards "
         + ("the mirror image of the field" if turning.mirrored else f"the field, {angle_text}")

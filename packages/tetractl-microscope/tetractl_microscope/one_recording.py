@@ -80,8 +80,8 @@ def check_explained(
     if fraction < fraction_min:
         raise UsageError(
             f"{source}: the commands explain only {max(fraction, 0.0):.0%} of the {motion_name}",
-            "do the commands belong to another robot or recording, or are their times"
-            " 10 s off? Does the robot turn and drive at all?",
+            "check that the commands belong to this robot and this recording, that both files use "
+            "the same clock, and that the robot turns and drives",
         )
 
 

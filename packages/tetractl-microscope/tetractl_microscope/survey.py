@@ -156,8 +156,8 @@ def survey(
         horizon_s = control.horizon_max * control.signal_periods * control.period
         if choices:
             reason = (
-                f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
-                f"{compute_cost_tolerance(control):g} {unit} of the targets"
+                f"plans may last up to {horizon_s:g} s (controller.horizon_max), but none of them "
+                f"brings the cells within {compute_cost_tolerance(control):g} {unit} of the targets"
             )
         elif responding_count < choice.choose:
             reason = (
@@ -166,7 +166,7 @@ def survey(
             )
         else:
             reason = (
-                f"any {choice.choose} of the cells include two that cannot be distinguished "
+                f"every choice of {choice.choose} cells contains two that cannot be distinguished "
                 "after they have met"
             )
         ui.print_messages(f"no choice of these cells can be steered to the targets: {reason}")
@@ -224,13 +224,13 @@ def _parse_micrometer(text: str) -> tuple[tuple[float, float], tuple[float, floa
 def _format_choice(proposal: "RankedChoice", unit: str) -> str:
     """Format a choice of cells in one line: its predicted error, and the cells near the edge.
 
-    If the error is infinite, it is written as "none, as no plan was found".
+    If the error is infinite, it is written as "unknown, because no plan was found".
     """
     numbers = ", ".join(map(str, proposal.numbers))
     error = (
         f"{proposal.error:.0f} {unit}"
         if math.isfinite(proposal.error)
-        else "none, as no plan was found"
+        else "unknown, because no plan was found"
     )
     near_edge = ", ".join(str(cell.number) for cell in proposal.cells if not cell.free)
     doubt_note = f"; less certain, because of cells near the edge: {near_edge}" if near_edge else ""

@@ -26,11 +26,12 @@ def reproduce(
     out: Annotated[Path, out_option("DIR", "Folder for the logs.")] = Path("logs/reproduce"),
     as_json: AsJson = False,
 ) -> int:
-    """Run what published papers did, and compare the figures with ours.
+    """Repeat experiments of published papers, and compare our figures with theirs.
 
-    Each figure is printed next to ours, with a verdict. Without a PAPER, the papers are listed.
-    Trials with a log in DIR are kept: an interrupted command continues where it was. The exit code
-    is 1 if a verdict differs from packages/tetractl-papers/README.md.
+    The command prints each published figure next to ours, with a verdict. Without a PAPER, it lists
+    the papers. Trials that have a log in DIR are not run again, so that an interrupted command
+    continues where it was. The exit code is 1 if a verdict differs from
+    packages/tetractl-papers/README.md.
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """

@@ -199,8 +199,8 @@ class Ros2Section(SpeedSection):
             yield (
                 (),
                 (
-                    f"stop after {self.stops_after:g} s without a command: set "
-                    "wheels.watchdog to this value"
+                    f"robots stop after {self.stops_after:g} s without a command, so the spec "
+                    "must not state a longer time: set wheels.watchdog to this value"
                 ),
             )
         if self.rate * self.stops_after < RATE_PER_WATCHDOG:

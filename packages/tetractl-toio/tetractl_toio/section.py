@@ -74,7 +74,8 @@ class ToioCameraSection(CameraSection):
         Returns:
             One entry: "mat" maps to the length of a unit and the spec's origin.
         """
-        return {"mat": f"{self.unit_mm:g} mm a unit, origin at {self.origin[0]}, {self.origin[1]}"}
+        origin_text = f"the origin is at {self.origin[0]}, {self.origin[1]}"
+        return {"mat": f"1 unit of the mat is {self.unit_mm:g} mm; {origin_text}"}
 
 
 class ToioSection(ActuatorSection):
@@ -115,7 +116,10 @@ class ToioSection(ActuatorSection):
         for i, robot in enumerate(self.robots):
             camera_cube = camera_cubes.get(robot.name, robot.cube)
             if camera_cube != robot.cube:
-                text = f"differs from the cube of {robot.name} in 'camera', {camera_cube}"
+                text = (
+                    f"differs from the cube of {robot.name} in the section 'camera', which is "
+                    f"{camera_cube}; name the same cube in both"
+                )
                 yield ("robots", i, "cube"), text
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
@@ -145,7 +149,9 @@ class ToioSection(ActuatorSection):
         cubes = ", ".join(robot.cube for robot in self.robots)
         return {
             "cubes": f"{cubes}, {self.rate:g} commands per second each",
-            "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s, {WHEEL_MM_S:.2f} mm/s a unit",
+            "wheel speeds": (
+                f"at most {self.speed_max_mm_s:g} mm/s; 1 unit of a motor is {WHEEL_MM_S:.2f} mm/s"
+            ),
         }
 
 

@@ -115,10 +115,10 @@ def test_other_reasons_for_a_difference_are_told(compared):
 @pytest.mark.parametrize(
     ("plants", "says"),
     [
-        ((plant("lab", True), plant()), "the log comes from the lab, but the new one from a "
-         "simulation"),
-        ((plant(), plant("emulated")), "the log comes from a simulation, but the new one from an "
-         "emulated lab"),
+        ((plant("lab", True), plant()), "the log comes from the lab, but the new log "
+         "comes from a simulation"),
+        ((plant(), plant("emulated")), "the log comes from a simulation, but the new "
+         "log comes from an emulated lab"),
         ((plant("lab", True), plant("lab", True)), "both logs come from the lab"),
         ((plant("own", True), plant("own", True)), "both logs come from own"),
     ],
@@ -138,7 +138,7 @@ def test_of_another_spec_only_the_errors_are_told(monkeypatch, capsys):
     )
     _print_errors(raw(), raw(path="b.mcap"))
     said = capsys.readouterr().err
-    assert said.startswith("the total error is 6.79 mm, and was 12.35 mm in the log; nothing")
+    assert said.startswith("the total error is 6.79 mm now, and was 12.35 mm in the log; nothing")
 
 
 @pytest.fixture

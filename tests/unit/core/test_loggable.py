@@ -80,8 +80,8 @@ REFUSED = {
     "a path too long": (replace(PLAN, path=np.zeros((4, ROBOTS, 3))), "a path has shape"),
     "a robot too few": (replace(PLAN, path=np.zeros((3, 3, 3))), "a path has shape"),
     "no headings": (replace(PLAN, path=np.zeros((3, ROBOTS, 2))), "a path has shape"),
-    "a search of another length": (with_search(length=3), "a search of length 3 has a different"),
-    "a search of no length": (with_search(length=0, signals=np.zeros(0)), "a search of length 0"),
+    "a search of another length": (with_search(length=3), "of a search is 3, but"),
+    "a search of no length": (with_search(length=0, signals=np.zeros(0)), "of a search is 0, but"),
     "a search of a huge length": (with_search(length=10**30), "more than 20 digits"),
     "no history": (
         with_search(history=np.zeros(0)),

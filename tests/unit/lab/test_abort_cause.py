@@ -184,7 +184,7 @@ def test_a_moved_origin_is_the_cameras(seed):
 
 
 def test_a_camera_that_turns_is_the_cameras():
-    """Regression: "does not move though commanded to: is a wheel stuck"."""
+    """Regression: "does not move although it is commanded to: check its power"."""
 
     def turned(i, place, t):
         angle = 0.1 * max(0.0, 0.3 - t)

@@ -158,8 +158,8 @@ def test_outdated_frames_are_counted_with_the_age_of_the_last():
     assert stream.outdated_count == stream.dropped_count == 2
     assert stream.outdated_by_ns == 250 * MS
     assert stream.describe_silence(SECOND) == (
-        "no new camera frame for 1.00 s: 2 outdated frames came, the last exposed 0.25 s before "
-        "the newest frame"
+        "no new camera frame for 1.00 s: 2 outdated frames came, and the last of them was exposed "
+        "0.25 s before the newest frame"
     )
     stream.add_frame(frame(1001 * MS), False)
     assert stream.describe_silence(SECOND) == "no new camera frame for 1.00 s"

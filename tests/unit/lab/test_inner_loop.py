@@ -144,7 +144,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(lab, monkeypatch)
             return "the camera"
 
     monkeypatch.setattr("tetractl.lab.guard.AbortCause", Asked)
-    guard.abort("green moves as no command does", suspect=0)
+    guard.abort("green moves in a way that no command explains", suspect=0)
     lab.plant.rig.loop.step()
     lab.plant.rig.loop.step()
     assert sent == [None]  # asked once, after a stop
@@ -160,8 +160,8 @@ def test_a_transmission_that_no_log_can_hold_stops_the_robots(lab, change):
     """Regression: exit 0, and a log that could not be read."""
     send = lab.actuator.send
     lab.actuator.send = lambda *a: None if change is None else replace(send(*a), **change)
-    text = "sent at .* ns, not between 0 and now" if change in UNTIMELY else "that cannot be logged"
-    with pytest.raises(AbortError, match=f"an actuator returned a transmission {text}"):
+    text = "was sent at .* ns, but this time must be" if change in UNTIMELY else "cannot be logged"
+    with pytest.raises(AbortError, match=f"an actuator returned a transmission that {text}"):
         lab.plant.send(Steer(0.6))
     assert lab.actuator.sent[-1].direction is None  # a stop
 
@@ -173,10 +173,13 @@ SPOILT = {  # a frame of a number at a time, received at another, and what is sa
     "1e300": (CameraFrame(10**6, 0, 0, (Pose(1e300, 0.0, 0.0), None, None)), NO_FRAME),
     "a number of 70 bits": (CameraFrame(2**70, 0, 0, (None,) * 3), NO_FRAME),
     "no whole number": (CameraFrame(1.5, 0, 0, (None,) * 3), NO_FRAME),
-    "received before its exposure": (CameraFrame(10**6, 10**18, 0, (None,) * 3), "frame received "),
+    "received before its exposure": (
+        CameraFrame(10**6, 10**18, 0, (None,) * 3),
+        "frame that was received ",
+    ),
     "a pose that is later": (
         CameraFrame(10**6, 0, 0, (None,) * 3, exposed_ns=(0, 0, 1)),
-        "pose exposed after the time of its frame",
+        "pose that was exposed later than its frame",
     ),
 }
 

@@ -218,7 +218,7 @@ def test_a_robot_of_stuck_wheels_is_noticed_within_0_3_s(stuck):
 
 
 def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
-    """Regression: it was said to move around as no command does."""
+    """Regression: it was said to move around in a way that no command explains."""
     check = check_of_one()
     for k in range(40):
         check.record_transmission(k * SEND, [0.0], [A])
@@ -313,7 +313,7 @@ def test_a_gap_in_the_frames_is_bridged():
         before = pose
 
 
-@pytest.mark.parametrize(("radius", "part"), [(RADIUS, "drive"), (0.0, "field's sign")])
+@pytest.mark.parametrize(("radius", "part"), [(RADIUS, "motors"), (0.0, "field's sign")])
 def test_a_cell_has_no_drive(radius, part):
     """It is seen to turn to the right while it is commanded to turn to the left."""
     check = check_of_one(radius)

@@ -128,7 +128,11 @@ def test_a_silent_camera_is_a_problem():
 
 
 @pytest.mark.parametrize(
-    ("age_ms", "said"), [(90, ()), (110, ("frames are 110 ms old on arrival",))]
+    ("age_ms", "said"),
+    [
+        (90, ()),
+        (110, ("camera frames are 110 ms old on arrival, but limits.latency allows only 100 ms",)),
+    ],
 )
 def test_frames_that_are_old_on_arrival_are_a_problem(age_ms, said, monkeypatch):
     monkeypatch.setattr("testkit.labs.LATENCY_NS", age_ms * 1_000_000)
@@ -143,7 +147,7 @@ def test_what_is_no_robot_must_not_stand_in_the_arena(x):
             replace(frame, unknown_objects=(Pose(x, 700.0, 0.0),)) for frame in frames()
         ]
 
-    inside = ("something else stands in the arena at 1000, 700 mm",)
+    inside = ("an unknown object is in the arena at 1000, 700 mm: remove it",)
     assert looked_over(place).problems == (inside if x > 0 else ())
 
 
@@ -240,6 +244,8 @@ def placed_rig(poses, mm=1.0, **limits):
 
 
 LIMITS = {"start_mm": 30.0, "start_heading": 0.3}
+MOST_MM = "(at most 30 mm are allowed)"
+MOST_RAD = "(at most 0.3 rad are allowed)"
 
 
 @pytest.mark.parametrize("mm", [1.0, 1000.0, 0.001])
@@ -249,10 +255,10 @@ LIMITS = {"start_mm": 30.0, "start_heading": 0.3}
         (0, 0, 0.0, None),
         (29.9, 0, 0.29, None),
         (0, -29.9, -0.29, None),
-        (18, 24.1, 0.0, "green is 30 mm from its start"),
-        (-40, 0, 1.0, "green is 40 mm from its start"),
-        (0, 0, 0.31, "green is turned by +0.31 rad from its start heading"),
-        (0, 0, -0.31, "green is turned by -0.31 rad from its start heading"),
+        (18, 24.1, 0.0, f"green is 30 mm from its start {MOST_MM}"),
+        (-40, 0, 1.0, f"green is 40 mm from its start {MOST_MM}"),
+        (0, 0, 0.31, f"green is turned by +0.31 rad from its start heading {MOST_RAD}"),
+        (0, 0, -0.31, f"green is turned by -0.31 rad from its start heading {MOST_RAD}"),
         (0, 0, 0.29 + math.tau, None),
     ],
 )

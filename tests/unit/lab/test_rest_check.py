@@ -113,7 +113,7 @@ def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
         lab.clock.sleep_until(7 * SECOND // 10)
         (line,) = describe_moving_robots(rig)
     assert line.startswith("blue ")
-    assert line.endswith(", so it is not seen to stand")
+    assert line.endswith(", so nothing shows whether it stands still")
 
 
 def test_a_run_does_not_start_while_a_standing_robot_is_seen_to_turn():
@@ -153,7 +153,7 @@ def rest_of(lab, hurried=False, aborted=False):
     with lab.plant.rig as rig:
         lab.clock.sleep_until(SECOND // 2)
         if aborted:
-            rig.loop.guard.abort("green moves along its heading as no command does")
+            rig.loop.guard.abort("green moves along its heading in a way that no command explains")
         rest = wait_for_rest(rig, lambda: hurried)
         return rest, emergencies, lab.clock.now() / SECOND
 
@@ -163,7 +163,7 @@ def test_robots_that_plain_stops_do_not_hold_are_sent_one_that_they_latch_and_ar
     moving_until(lab, 100.0, (0, 2))
     rest, emergencies, now_s = rest_of(lab)
     assert "s after the stop: green still moves (100 mm/s" in rest.fault
-    assert rest.unrest == "still moves: green, red: switch them off"
+    assert rest.unrest == "these robots still move: green, red: switch them off"
     first_latched = emergencies.index(True)
     assert all(emergencies[first_latched:])
     assert 5.4 <= now_s <= 6.0  # the trial ended at 0.5 s
@@ -190,7 +190,9 @@ def test_stops_are_repeated_once_robots_have_had_time_to_stand(paused_s, then_s)
         stopped_ns = lab.clock.now()
         rig.loop.stop()
         lab.clock.sleep_until(stopped_ns + round(paused_s * SECOND))
-        rig.loop.guard.abort("in a pause red moves along its heading as no command does")
+        rig.loop.guard.abort(
+            "in a pause red moves along its heading in a way that no command explains"
+        )
         rig.loop.stop()
         waits_ns = lab.clock.now()
         wait_for_rest(rig)
@@ -202,7 +204,7 @@ def test_a_robot_that_is_not_seen_to_stand_is_named():
     lab = fake_lab(SETUP)
     show(lab, lambda frame: (*frame.poses[:2], None))
     rest, _, _ = rest_of(lab, aborted=True)
-    assert rest.unrest == "not seen to stand still: red: look at it"
+    assert rest.unrest == "the camera has not seen this robot stand still: red: look at it"
     assert "red" in rest.fault
 
 
@@ -255,7 +257,7 @@ def test_robots_that_only_a_latched_stop_holds_are_said_to_be_so():
     moving_until(lab, 3.0)
     rest, emergencies, _ = rest_of(lab)
     assert emergencies[-1]
-    assert "only an emergency stop held the robots" in rest.unrest
+    assert "the robots obeyed only an emergency stop" in rest.unrest
 
 
 def test_a_robot_that_stands_is_watched_no_longer_than_a_signal_allows():
@@ -276,7 +278,7 @@ def test_robots_that_all_move_alike_are_latched_and_named_though_it_may_be_the_c
     lab = fake_lab(SETUP)
     moving_until(lab, 100.0, ALL, begins_s)
     rest, emergencies, _ = rest_of(lab, aborted=aborted)
-    assert rest.unrest == "still moves: green, blue, red: switch them off"
+    assert rest.unrest == "these robots still move: green, blue, red: switch them off"
     assert emergencies[-1]
 
 
@@ -356,14 +358,18 @@ def test_robots_that_are_not_seen_do_not_count_as_moving():
     for gone_s, unseen in [(limit_s - 0.05, False), (limit_s + 0.05, True)]:
         rig = SeenRig(lambda at, gone=gone_s: [Pose(0, 0, 0) if at < 1.0 - gone else None])
         said = describe_moving_robots(rig)
-        assert said == (["green is not tracked, so it is not seen to stand"] if unseen else [])
+        assert said == (
+            ["green is not tracked, so nothing shows whether it stands still"] if unseen else []
+        )
         assert describe_drifting_robots(rig) == []
 
 
 @pytest.mark.parametrize(("frames", "seen"), [(30, True), (12, False)])
 def test_a_robot_must_be_watched_for_most_of_a_quarter_second(frames, seen):
     said = describe_moving_robots(SeenRig(lambda at: [Pose(0, 0, 0)], frames=frames))
-    assert said == ([] if seen else ["green has not been watched long enough"])
+    assert said == (
+        [] if seen else ["green has not been watched long enough to show whether it stands still"]
+    )
 
 
 def test_all_robots_moving_is_one_line_and_one_of_them_is_its_own():
@@ -380,11 +386,14 @@ def test_all_robots_moving_is_one_line_and_one_of_them_is_its_own():
 def test_what_is_said_of_robots_that_do_not_stand_names_each_of_them():
     assert (Standstill().reason, Standstill().unrest) == ("", "")
     one = Standstill("a fault", moving=("green",))
-    assert one.reason == "a fault; still moves: green: switch it off"
-    assert one.unrest == "still moves: green: switch it off"
+    assert one.reason == "a fault; this robot still moves: green: switch it off"
+    assert one.unrest == "this robot still moves: green: switch it off"
     many = Standstill(moving=("green", "red"), unseen=("blue",))
-    assert many.reason == "still moves: green, red: switch them off"
-    assert many.unrest == f"{many.reason}; not seen to stand still: blue: look at it"
+    assert many.reason == "these robots still move: green, red: switch them off"
+    assert (
+        many.unrest
+        == f"{many.reason}; the camera has not seen this robot stand still: blue: look at it"
+    )
     assert Standstill(unseen=("a", "b")).unrest.endswith("a, b: look at them")
     assert Standstill(latched=True).reason == Standstill(latched=True).unrest == LATCHED_WARNING
     assert LATCHED_WARNING not in Standstill(latched=True, moving=("green",)).reason

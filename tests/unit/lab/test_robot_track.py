@@ -182,9 +182,9 @@ def test_a_robot_must_stop_once_it_was_unseen_for_longer_than_the_limit():
 
 def test_a_robot_that_is_not_tracked_is_named_with_the_reason_and_the_time():
     robot = track(last_pose_ns=SECOND, newest_frame_ns=3 * SECOND // 2)
-    assert robot.untracked_message == "one is not tracked (0.50 s)"
+    assert robot.untracked_message == "one is not tracked (for 0.50 s)"
     robot.decision = PoseDecision(refusal="its pose jumped")
-    assert robot.untracked_message == "one is not tracked: its pose jumped (0.50 s)"
+    assert robot.untracked_message == "one is not tracked: its pose jumped (for 0.50 s)"
 
 
 def test_time_unseen_adds_up_and_a_quarter_of_the_time_seen_is_forgiven():

@@ -216,7 +216,7 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
     lab = fake_lab(setup)
     lab.plant.open()
     notes = [note for note in lab.plant.events() if isinstance(note, Note)]
-    warnings = [note for note in notes if "frames per second come instead of 200" in note.text]
+    warnings = [note for note in notes if "frames per second instead of 200" in note.text]
     assert len(warnings) == warned
 
 

@@ -74,4 +74,4 @@ def test_undelivered_commands_and_lost_robots_are_notes(tmp_path):
     assert sum("did not get the command" in text for text in texts) == lost > 0
     assert any(text.endswith("is lost") for text in texts)
     events = [event.text for event in read_trial(tmp_path / "trial.mcap").events]
-    assert any("is lost: no poses of this robot arrived; is it hidden" in text for text in events)
+    assert any("is lost: the camera sends no poses of this robot; check" in text for text in events)

@@ -205,7 +205,7 @@ def test_robots_that_do_not_stand_after_a_stop_are_named(metres):
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()
     assert "s after the stop: green still moves (180 mm/s, " in verdict.not_at_rest
-    assert verdict.unrest == "still moves: green: switch it off"
+    assert verdict.unrest == "this robot still moves: green: switch it off"
     assert [item.text for item in lab.plant.events() if isinstance(item, Note)] == [
         verdict.not_at_rest
     ]
@@ -240,14 +240,14 @@ def test_robots_that_another_program_drives_after_the_stop_are_held():
     drive_from(lab, lab.clock.now() + SECOND // 2)
     verdict = lab.plant.settle()
     assert lab.actuator.emergencies
-    assert "only an emergency stop held the robots" in verdict.unrest
+    assert "the robots obeyed only an emergency stop" in verdict.unrest
     assert verdict.not_at_rest
 
 
 def test_robots_that_move_before_a_run_are_stopped_and_named():
     lab = fake_lab(SETUP, LabLimits(start_mm=1e6))
     drive_from(lab, 0)
-    with pytest.raises(AbortError, match="only an emergency stop held the robots") as refused:
+    with pytest.raises(AbortError, match="the robots obeyed only an emergency stop") as refused:
         lab.plant.open()
     assert lab.actuator.emergencies
     assert "does another program drive the robots?" in refused.value.message
@@ -324,7 +324,8 @@ def test_robots_are_waited_for_while_somebody_places_them(metres):
 
     lab.supervision.prompt = person = Person(place, 7)
     info = lab.plant.open()
-    assert person.shown[0][0] == ("blue is 120 mm from its start",)
+    (line,) = person.shown[0][0]
+    assert line.startswith("blue is 120 mm from its start (at most ")
     assert person.shown[-1][0] == ()
     assert info.facts["camera"] == "fake"
     assert info.facts["latency_ms"] == "5.00"

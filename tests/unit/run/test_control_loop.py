@@ -227,7 +227,7 @@ def test_a_first_interruption_finishes_the_step(where):
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     assert result.steps == 2  # the step in which it came was recorded, and no other was begun
-    assert result.reason == "interrupted; the step was finished"
+    assert result.reason == "interrupted; the control step was finished first"
     assert fakes.happenings.names.count("plan") == 2
 
 
@@ -239,8 +239,8 @@ def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     assert_ended_well(fakes, Outcome.INTERRUPTED)
     planning = where == "plan"  # steering and recording are never torn
     assert result.steps == (1 if planning else 2)
-    at_once = "stopped at once by a second interruption"
-    finished = "interrupted; the step was"
+    at_once = "a second interruption stopped the trial at once"
+    finished = "interrupted; the control step was"
     assert result.reason.startswith(at_once if planning else finished)
     fakes.interrupt.request()  # raises nothing: no code is breakable any more
 
@@ -320,7 +320,7 @@ def test_a_first_interruption_between_two_steps_begins_no_other(monkeypatch):
 
     monkeypatch.setattr(fakes.plant.clock, "sleep_until", interrupted_while_asleep)
     result = fakes.run()
-    assert result.reason == "interrupted; the step was finished"
+    assert result.reason == "interrupted; the control step was finished first"
     assert result.steps == fakes.happenings.names.count("plan") == 1
 
 
@@ -338,7 +338,7 @@ def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
     fakes.do_at("plan", 2, torn)
     result = fakes.run()
     assert_ended_well(fakes, Outcome.INTERRUPTED)
-    assert result.reason == "stopped at once by a second interruption"
+    assert result.reason == "a second interruption stopped the trial at once"
 
 
 @pytest.mark.parametrize(("where", "nth"), [("log.step", 2), ("stop", 1)])

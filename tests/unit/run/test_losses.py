@@ -133,7 +133,7 @@ def test_a_trial_goes_on_without_a_robot_that_does_not_move(tmp_path):
     log = read_trial(path)
     assert result.lost == log.route.lost == (0, 1, 0)
     assert max(result.robot_errors[0], result.robot_errors[2]) < 10
-    said = "blue does not move while others drive: the trial goes on without"
+    said = "blue does not move while others drive: the trial goes on without them"
     assert said in [note.text for note in log.notes]
     assert verify(path).problems == ()
 

@@ -86,8 +86,9 @@ def test_a_lag_that_the_spec_states_wrongly_is_reported_once():
     found = with_lags(0.14, 0.14, 0.13)
     assert said((0, FITS), (1, found), (2, found)) == []  # not for long enough
     assert said((0, FITS), (1, found), (6, found), (7, found)) == [
-        "the wheels follow with a lag of 0.14 s, but the spec says 0.00 s: the controller "
-        "uses the lag that it has found; put it into the spec (wheels.lag, lab.lag)"
+        "the wheels follow their commands with a lag of 0.14 s, but the spec says 0.00 s: the "
+        "controller already uses the measured lag; put this value into the spec as well "
+        "(wheels.lag or lab.lag)"
     ]
 
 
@@ -117,13 +118,13 @@ def test_a_latency_that_is_wrong_is_named(dead_time, std, told):
         for s in (1, 2)
         for _, text in monitor.notices(estimate, SETUP, round(1e9 * s), frame(s))
     ]
-    said_first = f"commands act {told} than 0.030 s after they are sent, as the spec says: "
-    question = "is controller.dead_time or lab.camera.latency wrong? "
+    error = "the spec says that commands act 0.030 s after they are sent, but they act "
+    advice = f"{told}: check controller.dead_time or lab.camera.latency. "
     estimated = (
-        f"The controller estimates {dead_time:.3f} s, which is uncertain while its model does not "
-        "fit"
+        f"The controller estimates {dead_time:.3f} s, but this value is uncertain while its "
+        "model does not fit"
     )
-    assert texts[1:] == ([said_first + question + estimated] if told else [])
+    assert texts[1:] == ([error + advice + estimated] if told else [])
 
 
 def test_a_dead_time_within_one_command_to_twist_robots_is_not_reported():
@@ -184,9 +185,7 @@ def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
     late_s = 6 + LATE_ROBOT_DURATION_S
     times_s = 6, late_s - 0.1, late_s
     told = said((0, FITS), *[(s, LATE) for s in times_s], (late_s + 1, ALIKE), (19, LATE))
-    assert told == [
-        f"commands act on {SETUP.names[1]} about 0.15 s later than on {NAME}, or even later"
-    ]
+    assert told == [f"commands act on {SETUP.names[1]} at least about 0.15 s later than on {NAME}"]
 
 
 @pytest.mark.parametrize(
@@ -322,9 +321,9 @@ def test_a_saturated_robot_turns_at_most_by_its_rate_and_its_faster_side():
     side = np.array([0.0, 0.0, 0.1])
     estimate = replace(FITS, saturation=saturation, side=side)
     assert describe_turning(estimate, 0) == ""
-    assert describe_turning(estimate, 1) == "turns at 2 rad/s at most"
+    assert describe_turning(estimate, 1) == "never turns faster than 2 rad/s"
     assert describe_turning(estimate, 2) == (
-        "turns 22 % faster to the left, turns at 2.2 rad/s at most"
+        "turns 22 % faster to the left, never turns faster than 2.2 rad/s"
     )
     assert describe_turning(replace(estimate, side=None), 1) == ""
 
@@ -394,6 +393,6 @@ def test_a_late_robot_is_compared_with_the_quickest_one(robot):
     estimate = with_dead_times(*delays)
     texts = said((0, estimate), (FITS_AGAIN_AFTER_S, estimate))
     assert texts == [
-        f"commands act on {SETUP.names[robot]} about 0.15 s later than on "
-        f"{SETUP.names[quickest]}, or even later"
+        f"commands act on {SETUP.names[robot]} at least about 0.15 s later than on "
+        f"{SETUP.names[quickest]}"
     ]

@@ -38,7 +38,7 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     pauses = [k for k, step in enumerate(log.steps) if step.plan.pauses]
     assert pauses
     assert [note.text for note in log.notes if "pause" in note.text] == [
-        "all robots pause: the next plan starts from rest, or the trial ends"
+        "all robots pause until the next plan starts, or until the trial ends"
     ] * len(pauses)
     for k in pauses:
         assert log.steps[k].command.stops
@@ -89,6 +89,6 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         assert text in format_step(recording, k)
     assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning on the spot"
     starts = [k for k in turns if k - 1 not in turns]
-    turning = "all robots turn on the spot: they have no safe path ahead"
+    turning = "all robots turn on the spot, because they have no safe path ahead"
     assert [note.text for note in log.notes].count(turning) == len(starts)
     assert verify(log_path(tmp_path, 3)).problems == ()

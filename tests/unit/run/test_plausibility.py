@@ -52,13 +52,13 @@ robots.2.heading <- robots.red.heading=-7
 robots.0.a <- robots.green.a=360
   360 rad/s, .* within 0.0083 s | write 6.283
 wheels.radius <- units.length=cm
-  0.8 m apart | is the length unit units.length, cm, right
+  0.8 m apart | (units.length: cm)
 robots.1.a <- robots.blue.a=6
-  blue turns at the same rate as green .* cannot fall below 575.6 mm | different a
+  blue turns at the same rate as green .* cannot fall below 575.6 mm | turning rates a
 robots.1.a <- robots.blue.a=5.9
-  blue and green differ by only 1.7 % in turning rate a and 0 rad .* below 575.6 mm | different a
+  blue and green differ by only 1.7 % in turning rate a and 0 rad .* 575.6 mm | turning rates a
 robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
-  0 % in turning rate a and 0.04 rad in start heading | different a
+  0 % in turning rate a and 0.04 rad in start heading | turning rates a
 robots <- robots.blue.a=6
   any plan is 575.6 mm | no controller
 robots.0.target <- controller.time_limit=4.2; controller.horizon_max=20
@@ -76,19 +76,19 @@ robots.1.target <- WALL
 robots.1.target <- GAP; NEAR
   be reached by a path that keeps 20 mm .* within 51\d | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR; controller.collision.margin=5; FIXED
-  is 20 mm from the nearest obstacle or wall, but plans keep a distance of 25 mm | margin
+  is 20 mm from the nearest obstacle or wall, but .* keep a distance of 25 mm | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR
-  leaves a body only 0 mm of free space .* drives 40 mm in a control period | move the target
+  leaves only 0 mm of free space .* drives 40 mm in a control period | move the target
 robots.1.target <- robots.blue.target=[2075, 1500]; controller.period=0.05; NEAR
-  leaves a body only 5 mm of free space .* drives 10 mm in a control period | move the target
+  leaves only 5 mm of free space .* drives 10 mm in a control period | move the target
 controller.accept_error <- controller.accept_error=4; controller.prior.position_noise=2
-  is less than 0.7 x position_noise x robots, 4.2 mm | set it to 4.2 mm or more
+  is less than 0.7 x position_noise x number of robots, 4.2 mm | set it to 4.2 mm or more
 controller.period <- controller.period=0.4; controller.motion=euler; ON
-  for green: .* is 2.4, above 2: .* equation \(6\), its heading | less than 0.333 s
+  for green: .* is 2.4, above 2: .* equation \(6\) of the paper, its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
-  for green: .* is 3.6, .* 2 robots turn by 90.9 % | less than 0.333 s
+  for green: .* is 3.6, .* 2 robots complete 90.9 % or more | less than 0.333 s
 controller.period <- LAB; controller.signal_periods=14
-  for green: its turning rate a times T is 4.2, .* 3 robots turn by 87.8 % | 0.333 s
+  for green: its turning rate a times T is 4.2, .* 3 robots complete 87.8 % or more | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false
   is 0.3 s, but the controller assumes 0 s, .* 1.5 control periods | controller.dead_time to 0.3
 robots.1.start <- LAB; robots.blue.start=[900, 895]
@@ -253,7 +253,7 @@ def test_targets_where_bodies_might_touch_are_told(y, told):
     sets = (*BODIES, f"robots.blue.target=[1700, {y}]")
     warnings = [w for w in found(THREE, *sets).values() if "might touch" in w.message]
     assert [w.field for w in warnings] == ["robots.1.target"] * told
-    assert all(" the two robots to places 109 mm apart" in w.message for w in warnings)
+    assert all(" keeps them 109 mm apart" in w.message for w in warnings)
 
 
 @pytest.mark.parametrize(("x", "fits"), [(1419, False), (1420, True)])

@@ -337,7 +337,7 @@ def test_a_lag_is_unusual_if_it_is_far_from_the_one_in_the_spec(offset_s, unusua
     trials = with_results(batch(ERRORS, spec), wheel_lag_s=(found, None, found, None))
     figure = only(built_in.WHEEL_LAG.of_batch(trials))
     assert figure.unusual == unusual
-    assert figure.text == f"{found:.3f} found (n 2), 0.200 in the spec"
+    assert figure.text == f"{found:.3f} measured (n = 2), 0.200 in the spec"
     assert built_in.WHEEL_LAG.of_trial(trials[0]) == {"wheel_lag_s": found}
     assert built_in.WHEEL_LAG.of_trial(trials[1]) == {"wheel_lag_s": None}
 

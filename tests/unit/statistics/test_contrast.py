@@ -161,9 +161,9 @@ def test_seven_pairs_carry_no_verdict():
     higher = arm("b", ERRORS[:7] + 50, controller=EXACT)
     few_pairs = contrast_of(lower, higher)
     assert few_pairs.verdict is None
-    assert few_pairs.reason == "a verdict needs at least 8 pairs"
+    assert few_pairs.reason == "a verdict needs at least 8 pairs of trials"
     (table,) = summary(contrast([lower, higher]))
-    assert table.note.startswith("a - b: no verdict (a verdict needs at least 8 pairs), ")
+    assert table.note.startswith("a - b: no verdict (a verdict needs at least 8 pairs of trials), ")
 
 
 def test_groups_of_other_units_are_refused():
@@ -191,11 +191,11 @@ def test_given_directions_have_no_rank_among_controllers():
     unranked = contrast_of(hindsight, mpc)
     assert unranked.no_controller is True
     assert unranked.verdict is None
-    assert unranked.reason == "directions were given, so no controller decided"
+    assert unranked.reason == "the directions were given, so there was no controller to compare"
     assert_not_tested(unranked)
-    assert texts_by_label(hindsight)["given directions"].startswith("no controller decided")
+    assert texts_by_label(hindsight)["given directions"].startswith("no controller was used")
     (table,) = summary(contrast([hindsight, mpc]))
-    assert "no verdict (directions were given" in table.note
+    assert "no verdict (the directions were given" in table.note
 
 
 def test_what_is_not_tested_is_not_counted_as_a_test():
@@ -220,7 +220,7 @@ def test_trials_with_directions_of_their_own_are_one_batch():
 def test_seven_trials_on_one_side_carry_no_verdict():
     unpaired = contrast_of(arm("a", ERRORS[:7]), arm("b", ERRORS + 50, seed=2))
     assert unpaired.verdict is None
-    assert unpaired.reason == "a verdict needs at least 8 complete trials on each side"
+    assert unpaired.reason == "a verdict needs at least 8 complete trials in each batch"
 
 
 def test_a_verdict_needs_the_corrected_p_too():

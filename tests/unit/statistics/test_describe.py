@@ -94,9 +94,9 @@ def test_solve_times_are_of_all_trials_while_robots_drove():
 @pytest.mark.parametrize(
     ("found_s", "text", "unusual"),
     [
-        ((0.1, 0.2, 0.15), "0.150 found (n 3, 95 % interval 0.", True),
-        ((0.14, 0.14), "0.140 found (n 2), 0.000 in the spec", True),  # equal: no interval
-        ((0.01, 0.01), "0.010 found (n 2), 0.000 in the spec", False),
+        ((0.1, 0.2, 0.15), "0.150 measured (n = 3, 95 % interval 0.", True),
+        ((0.14, 0.14), "0.140 measured (n = 2), 0.000 in the spec", True),  # equal: no interval
+        ((0.01, 0.01), "0.010 measured (n = 2), 0.000 in the spec", False),
     ],
 )
 def test_a_found_lag_of_the_wheels_stands_next_to_that_of_the_spec(found_s, text, unusual):

@@ -62,11 +62,11 @@ def test_a_robot_that_turns_by_itself_has_no_confirmed_heading():
     trial = turning_by(0.03, -0.1, 0.0)
     (text,) = unconfirmed_heading_remarks([trial])[trial.log]
     assert text.startswith(
-        "the heading of blue is not confirmed: it turned by -0.10 rad/s on its own"
+        "the measured heading of blue may be wrong: blue turned by -0.10 rad/s without a command"
     )
     setup = trial.experiment.setup
     drove_mm = setup.speed[1] * setup.metres * 1000 * trial.result.duration_s
-    assert text.endswith(f"up to {0.1 * trial.result.duration_s * drove_mm / 2:.0f} mm off")
+    assert text.endswith(f"by up to {0.1 * trial.result.duration_s * drove_mm / 2:.0f} mm")
 
 
 def test_headings_of_robots_that_do_not_turn_are_confirmed():
@@ -101,7 +101,9 @@ def test_the_summary_says_which_trials_are_marked_and_why():
     text = printed_summary(group(emulated_trials(20, false_turns=FALSE_TURNS)))
     assert len(text.splitlines()) <= 12
     (line,) = re.findall("less certain: .*", text)
-    assert line.startswith("less certain: 3 of 20 trials, by wheels that changed or false poses: ")
+    assert line.startswith(
+        "less certain: 3 of 20 trials, because wheels changed or poses are false: "
+    )
     assert re.search(r"green in trial-003, \+0\.\d\d rad/s; blue in trial-009, -0\.1", line)
     assert (
         "trial-007: red turned at a rate that differs by +0.20 rad/s from its other trials" in text
@@ -120,7 +122,7 @@ def test_honest_batches_are_hardly_ever_marked(n, spread):
 def test_a_batch_without_marks_says_in_full_which_turns_would_be_seen():
     described = group(emulated_trials(20))
     text = texts_by_label(described)["less certain"]
-    assert text == "0 of 20 trials, turns above 0.05 rad/s would be noticed"
+    assert text == "0 of 20 trials (a change of a turning rate by over 0.05 rad/s would be noticed)"
     assert batch_items(described)["less_certain"] == 0
     assert "less certain" not in printed_summary(described)
 

@@ -325,7 +325,7 @@ def test_p_is_said_to_be_corrected_only_if_several_comparisons_are_tested():
 
 def basis_of(*groups):
     """The cells of the one row of the table that shows how two batches were compared."""
-    (table,) = [t for t in tables(contrast(groups)) if t.title == "What the comparisons rest on"]
+    (table,) = [t for t in tables(contrast(groups)) if t.title == "Methods of the comparisons"]
     (row,) = table.rows
     return defaultdict(str, zip(table.header, row, strict=True))
 
@@ -353,7 +353,7 @@ def test_batches_from_two_kinds_of_plant_have_no_tests_and_no_power():
     *_, rests = (
         t
         for t in tables(contrast([*groups, group(lab(batch(ERRORS, SPEC)), name="lab")]))
-        if t.title == "What the comparisons rest on"
+        if t.title == "Methods of the comparisons"
     )
     cells = {column.name: list(column.values) for column in rests.columns}
     assert cells["tests"] == ["paired t, signed rank", "-", "-"]

@@ -75,7 +75,7 @@ def test_a_dry_run_says_how_many_trials_each_arm_lacks(loaded, tmp_path):
     store = store_of(loaded, ([0, 1, 2], []), ([2], []))
     tasks, _ = unfinished_tasks(loaded, store, rerun_outdated=False)
     table = dry_run(loaded, tmp_path / "out", tasks)
-    assert table.title.startswith(f"quick as it would be run, 4 of {ARMS * TRIALS} trials into ")
+    assert table.title.startswith(f"quick: a run would add 4 of {ARMS * TRIALS} trials to ")
     assert table.title.endswith("out")
     rows = list(table.rows)
     assert [row[0] for row in rows] == [arm.name for arm in loaded.arms]

@@ -39,10 +39,10 @@ class Found:
 
     def __str__(self) -> str:
         return (
-            f"r {self.radius_mm:.1f} mm, heading offset {self.heading_offset:+.3f} rad"
-            f", left {self.left.gain_mm:.2f} mm/s per count above {self.left.dead_zone}"
-            f", right {self.right.gain_mm:.2f} above {self.right.dead_zone}"
-            f"{', swapped' if self.swap else ''}"
+            f"radius {self.radius_mm:.1f} mm, heading offset {self.heading_offset:+.3f} rad"
+            f", left wheel {self.left.gain_mm:.2f} mm/s per count above {self.left.dead_zone}"
+            f", right wheel {self.right.gain_mm:.2f} mm/s per count above {self.right.dead_zone}"
+            f"{', wheels swapped' if self.swap else ''}"
         )
 
 

@@ -44,7 +44,7 @@ def limit_error(path: Path, excess: str) -> LogError:
     """
     return LogError(
         f"{path}: the log contains {excess}, more than tetractl reads; "
-        f"with {FACTOR_VARIABLE}=2, it reads twice as much"
+        f"to double the limit, set the environment variable {FACTOR_VARIABLE}=2"
     )
 
 

@@ -96,7 +96,7 @@ def _examine(contents: RawLog) -> Damage:
         trial = trial_of(contents)
     except LogError as error:
         problem = error.message.removeprefix(f"{contents.path}: ")
-        lost = (*contents.lost, "records that reading a log requires")
+        lost = (*contents.lost, "records without which a log cannot be read")
         return Damage((*contents.problems, problem), lost)
     problems = trial.damage.problems if trial.damage else ()
     return Damage(problems, losses(contents, trial))
@@ -114,8 +114,8 @@ def losses(raw_log: RawLog, trial: TrialLog) -> tuple[str, ...]:
     gaps = [*frame_gaps(trial), *step_gaps(trial)]
     lost += tuple(map(str, gaps))
     if trial.stop is None:
-        lost += ("the stop at the end",)
-    return lost or ("a record covered by the log's digest or its host digest",)
+        lost += ("the stop command at the end of the trial",)
+    return lost or ("at least one record, because a digest in the log does not match",)
 
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:

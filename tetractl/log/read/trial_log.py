@@ -201,13 +201,13 @@ def _next_step(message: str) -> str:
     """
     if message.endswith(" is lost"):
         return (
-            ": no poses of this robot arrived; is it hidden, out of view, off its mat or "
-            "switched off?"
+            ": the camera sends no poses of this robot; check that it is switched on, and that the "
+            "camera sees it (or, for robots on a mat, that it stands on the mat)"
         )
     if message.startswith("the model does not fit"):
         return (
-            ": `tetractl identify` measures a, speed and dead time (longer if frames are "
-            "later than `latency`), and with --wheels the lag of the wheels"
+            ": measure a, speed and dead time with `tetractl identify`, and the lag of the wheels "
+            "with its option --wheels; the dead time is longer if frames are later than `latency`"
         )
     return ""
 

@@ -64,7 +64,7 @@ def require_within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> No
             origin, f"the values are nested deeper than {MAX_DEPTH} levels", mark
         )
     if nodes > MAX_NODES:
-        text = f"the file has more than {MAX_NODES} values, if every use of an alias counts"
+        text = f"the file has more than {MAX_NODES} values (each use of an alias counts)"
         raise create_yaml_error(origin, text, mark)
 
 

@@ -254,8 +254,8 @@ def test_check_prints_the_names_that_the_cameras_have_beside_the_one_wanted(lab,
     done = tetractl(tmp_path, "lab", "check", str(SPEC), *sets)
     assert done.returncode == 1
     assert (
-        "problem: the cameras know no rigid body 'Gren' for green; did you mean 'green'?; "
-        "they have 'green' (id 1); 'blue' (id 2); 'red' (id 3)"
+        "problem: the camera server has no rigid body 'Gren' for green; did you mean 'green'?; "
+        "it has 'green' (id 1); 'blue' (id 2); 'red' (id 3)"
     ) in done.stdout
 
 

@@ -125,14 +125,14 @@ def test_days_of_another_rehearsal_are_not_continued(tmp_path, days, other):
 
 
 def test_a_violation_is_told_and_fails_the_rehearsal_now_and_again(tmp_path, days):
-    days.violations = {1: [OUTSIDE, ["log", 0.0, "lacks a command"]]}
+    days.violations = {1: [OUTSIDE, ["log", 0.0, "the log lacks a command that was sent"]]}
     for _ in range(2):
         done = rehearse(tmp_path, "--days", "3", "--out", "days")
         assert done.returncode == 1
         assert done.stdout.endswith("3 days, 1 violation\n")
     first = rehearse(tmp_path, "--days", "3", "--out", "new")
     assert "day 1, 1.25 s: outside: green: 30 mm beyond what is allowed" in first.stderr
-    assert "day 1, 0.00 s: log: lacks a command" in first.stderr
+    assert "day 1, 0.00 s: log: the log lacks a command that was sent" in first.stderr
     others = rehearse(tmp_path, "--days", "1", "--out", "new").ok()
     assert others.stdout.endswith("1 day, 0 violations\n")
 
@@ -224,7 +224,7 @@ def test_only_a_day_that_violates_an_invariant_leaves_a_script(monkeypatch, tmp_
     assert row["violations"]
     (script,) = tmp_path.iterdir()
     assert script.name == "seed-5-day-9.yaml"
-    assert f"seed 5, day 9: {row['violations'][0][0]}, at seed 77" in script.read_text()
+    assert f"seed 5, day 9: {row['violations'][0][0]}; the trial" in script.read_text()
     assert "time_limit=4" in script.read_text()
     rehearse_day(SPEC, (), 5, 10)  # without a folder
     MadeDay(monkeypatch, 1, "")

@@ -31,7 +31,7 @@ def logged(truth: Truth) -> Iterator[Violation]:
     if not truth.had_fault(*MUTE):
         yield from _command_violations(truth)
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
-        yield Violation("log", 0.0, "a frame is logged twice, or too late")
+        yield Violation("log", 0.0, "the log contains a frame twice, or frames in a wrong order")
     if not truth.had_fault(*STREAM, *FAULTY):
         yield from _missing_frames(truth, truth.logged_exposures.tolist())
 
@@ -59,7 +59,7 @@ def _command_violations(truth: Truth) -> Iterator[Violation]:
         (transmitted_s > truth.steering_began_s) & (transmitted_s <= ends_s)
     ].tolist():
         if not ((logged_s <= at_s) & (logged_s >= at_s - RECORD_DELAY_S)).any():
-            yield Violation("log", at_s, "lacks a command")
+            yield Violation("log", at_s, "the log lacks a command that was sent")
             return
 
 
@@ -75,14 +75,14 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
     is_noted = (truth.commanded_s >= at_s) & (truth.commanded_s <= at_s + RECORD_DELAY_S)
     messages = [truth.commands[i] for i in np.flatnonzero(is_noted)]
     if not messages:
-        return "the log has a command that was not sent"
+        return "the log contains a command that was not sent"
     if command.action == Stop() and all(message["flags"] & RUN_FLAG for message in messages):
-        return "the log has a stop where robots were driven"
+        return "the log contains a stop command at a time when the robots were driven"
     if (logged_s == at_s).sum() > len(messages):
-        return "the log has a command twice"
+        return "the log contains a command twice, but it was sent once"
     drives = [truth.driven_by(message) for message in messages]
     if isinstance(command.action, Steer) and not _reached(command.delivered, drives):
-        return "the log has a robot driven that was not"
+        return "the log says that a command reached a robot, but that robot was not driven"
     return ""
 
 

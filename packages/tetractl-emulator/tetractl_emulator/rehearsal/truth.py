@@ -582,7 +582,9 @@ class Truth:
 
         Empty if it named none.
         """
-        named = re.findall(r"(?:still moves|not seen to stand still): ([^:;\n]*):", self.day.output)
+        named = re.findall(
+            r"(?:robots? still moves?|robots? stand still): ([^:;\n]*):", self.day.output
+        )
         if "the cameras do not show that the robots stand" in self.day.output:
             named.append(", ".join(self.setup.names))
         return {name for names in named for name in names.split(", ")}

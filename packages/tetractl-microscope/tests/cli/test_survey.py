@@ -127,9 +127,13 @@ def test_the_spec_for_trials_wants_the_best_cells_and_is_otherwise_the_same(dish
 @pytest.mark.parametrize(
     ("cells", "choices", "says"),
     [
-        (CELLS, [proposal((1, 2, 4), math.inf)], "no plan of up to 12 s (controller.horizon_max)"),
+        (
+            CELLS,
+            [proposal((1, 2, 4), math.inf)],
+            "plans may last up to 12 s (controller.horizon_max)",
+        ),
         (CELLS[3:], [], "only 1 of 2 cells respond to the field, but 3 are needed"),
-        (CELLS[1:4], [], "any 3 of the cells include two that cannot be distinguished"),
+        (CELLS[1:4], [], "every choice of 3 cells contains two that cannot be distinguished"),
     ],
 )
 def test_why_no_choice_can_be_steered_is_said_and_no_spec_is_written(

@@ -138,4 +138,4 @@ def test_the_remedy_is_the_angle_of_the_camera_or_the_coils():
     (line,), text = describe_handedness(turning_by(-0.7, 0.05))
     assert "-0.70 +- 0.10 rad" in line
     assert "lab.camera.rotation" in line and "the coils' rotation" in line
-    assert text.endswith("is towards the field, -0.70 +- 0.10 rad off it")
+    assert text.endswith("is towards the field, with an offset of -0.70 +- 0.10 rad")

@@ -39,7 +39,7 @@ def test_a_choice_without_a_plan_says_so_instead_of_an_error():
     proposal = SimpleNamespace(
         numbers=[3], cells=[SimpleNamespace(number=3, free=True)], error=1e999
     )
-    assert _format_choice(proposal, "um").endswith("error none, as no plan was found")
+    assert _format_choice(proposal, "um").endswith("error unknown, because no plan was found")
 
 
 def test_files_that_are_not_relative_names_are_kept(tmp_path):

@@ -196,7 +196,7 @@ def _check_tags(
     floor = [tag.tag for tag in section.floor]
     missing = [tag for tag in floor if tag not in shown_tags]
     if missing:
-        yield True, f"floor {_describe_tags(missing)} not seen{seen_tags_text}"
+        yield True, f"floor {_describe_tags(missing)} not seen by the camera{seen_tags_text}"
     repeated_floor = [tag for tag in floor if tag in repeated_tags]
     if repeated_floor:
         yield (
@@ -229,8 +229,8 @@ def _check_tags(
                 size_text = f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
                 yield (
                     abs(ratio - 1) >= SIZE_DEVIATION_MAX,
-                    f"{robot.name}: the tag looks {size_text} than the spec says: are size_mm and "
-                    "height_mm right, and were all tags printed at 100 %?",
+                    f"{robot.name}: the tag looks {size_text} than the spec says: check size_mm "
+                    "and height_mm, and that all tags were printed at 100 %",
                 )
 
 

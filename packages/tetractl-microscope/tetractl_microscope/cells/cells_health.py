@@ -120,8 +120,8 @@ def find_problems(
     untracked = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
     if untracked:
         problems.append(
-            f"{', '.join(untracked)} not tracked: {count_cells(searches)} cells are in view, but "
-            f"{len(names)} are needed"
+            f"the camera does not track {', '.join(untracked)}: {count_cells(searches)} cells are "
+            f"in view, but {len(names)} are needed"
         )
     elif newest.certainty_min < KNOWN_PROBABILITY:
         warnings.append(

@@ -94,7 +94,7 @@ def turn_field(
         raise AbortError(
             f"only {rate_hz:.1f} images per second were searched, but {rate_min_hz:.0f} are needed "
             f"to follow cells that swim {choice.speed:g} {rig.setup.unit}/s",
-            "do other programs keep this computer busy? Smaller images also take less time to "
-            "search",
+            "stop other programs that keep this computer busy, or use smaller images, which take "
+            "less time to search",
         )
     return cells

@@ -263,16 +263,16 @@ def inspect_reply(reply: FieldReply | None, section: FieldSection, needed_mt: fl
         facts["field_driver_temperature_c"] = f"{temperature_c:g}"
     problems = {
         (
-            f"the current driver allows only {current_max_a:g} A, but the spec "
+            f"the current driver allows only {current_max_a:g} A, but the spec allows "
             f"{section.current_max_a:g} A: lower current_max_a in the spec"
         ): reply.current_max_ma < limit_ma,
         (
-            f"the current driver allows only {slew_max_a_s:g} A/s, but the spec "
+            f"the current driver allows only {slew_max_a_s:g} A/s, but the spec allows "
             f"{section.slew_max_a_s:g} A/s: lower slew_max_a_s in the spec"
         ): reply.slew_ma_s < round(1000 * section.slew_max_a_s),
         (
             f"the current driver's watchdog is {reply.watchdog_ms / 1000:g} s, but the spec's is "
-            f"{section.watchdog:g} s"
+            f"{section.watchdog:g} s: change one of them"
         ): reply.watchdog_ms != round(1000 * section.watchdog),
         "the current driver has stopped because the coils were too hot: let them cool down": (
             DriverStatus.HOT in reply.status
@@ -280,20 +280,21 @@ def inspect_reply(reply: FieldReply | None, section: FieldSection, needed_mt: fl
         "the current driver is emergency-stopped: switch it off and on again": (
             DriverStatus.EMERGENCY_STOPPED in reply.status
         ),
-        f"the supply voltage of the current driver is {supply_v:.2f} V": 0
-        < supply_v
-        < section.supply_min_v,
+        (
+            f"the supply voltage of the current driver is {supply_v:.2f} V, but supply_min_v in "
+            f"the spec is {section.supply_min_v:g} V"
+        ): 0 < supply_v < section.supply_min_v,
         f"the coils are at {temperature_c:.0f} °C: let them cool down": has_temperature
         and temperature_c >= 60,
     }
     warnings = {
         (
-            f"the coils can make only {reachable_mt:.3g} of {needed_mt:g} mT in every direction: "
-            "in some directions, cells will turn more slowly"
+            f"the spec needs a field of {needed_mt:g} mT, but in some directions the coils reach "
+            f"only {reachable_mt:.3g} mT: cells will turn more slowly there"
         ): reachable_mt < needed_mt,
         (
-            f"the current driver allows {current_max_a:g} A: only tetractl, and not the driver, "
-            f"limits the current to {section.current_max_a:g} A"
+            f"the current driver itself allows {current_max_a:g} A: if tetractl fails, nothing "
+            f"limits the current to the {section.current_max_a:g} A of the spec"
         ): reply.current_max_ma > limit_ma,
         "the current driver does not report its supply voltage": section.supply_min_v
         > supply_v

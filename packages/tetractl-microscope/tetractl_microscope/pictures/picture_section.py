@@ -72,12 +72,14 @@ class PictureSource(Model):
             feed.close()
         received_ns = [reading.received_ns for reading in pictures]
         times_rise = received_ns == sorted(set(received_ns)) and received_ns[-1] <= clock.now()
-        expect_true("read: times rise, on the clock given", times_rise, str(received_ns))
+        expect_true(
+            "read: times increase, and are times of the given clock", times_rise, str(received_ns)
+        )
         are_images = [
             isinstance(reading.content, bytes) or reading.content.dtype == np.uint8
             for reading in pictures
         ]
-        expect_true("read: JPEG bytes, or pixels of 8 bits", are_images)
+        expect_true("read: images are JPEG bytes, or arrays of 8-bit pixels", are_images)
         shapes = [
             np.shape(reading.content)
             for reading in pictures
@@ -86,7 +88,9 @@ class PictureSource(Model):
         are_shapes_valid = [
             len(shape) == 2 or (len(shape) == 3 and shape[2] == 3) for shape in shapes
         ]
-        expect_true("read: pixels (height, width) or (height, width, 3)", are_shapes_valid)
+        expect_true(
+            "read: arrays have the shape (height, width) or (height, width, 3)", are_shapes_valid
+        )
 
 
 class DeviceSource(PictureSource):

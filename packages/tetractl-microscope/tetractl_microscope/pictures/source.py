@@ -95,8 +95,8 @@ class DeviceFeed(Feed):
         if not capture.isOpened():
             raise AbortError(
                 f"{self._name} cannot be opened",
-                "is the camera plugged in? Is lab.camera.source.index its number? Does another "
-                "program use it?",
+                "check that the camera is plugged in, that lab.camera.source.index is its number, "
+                "and that no other program uses it",
             )
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*source.format))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, source.width)

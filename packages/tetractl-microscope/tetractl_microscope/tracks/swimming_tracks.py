@@ -183,13 +183,12 @@ def describe_moving_stage(
         mean_field = abs(np.mean(np.sign(field.field_at(times))))
         if straightness < FLOW_STRAIGHTNESS_MIN or mean_field > MEAN_FIELD_MAX:
             return ()
-    fit_note = "" if field is None else ", and no a is fitted"
+    fit_note = "" if field is None else ", and no turning rate a is fitted"
     return (
         (
-            f"warning: all cells move together at {common_speed_um_s:.0f} um/s, in addition to "
-            f"{own_speed_um_s:.0f} um/s of their own: does the stage move, or does the medium "
-            "flow? "
-            "Their speeds include this common motion"
+            f"warning: all cells move together at {common_speed_um_s:.0f} um/s, while each swims "
+            f"at {own_speed_um_s:.0f} um/s: does the stage move, or does the medium flow? The "
+            "speeds below include this common motion"
         )
         + fit_note,
     )
@@ -260,8 +259,8 @@ def create_track_record(
     if turning_names:
         listed_names = _list_cells(turning_names)
         notes.append(
-            "cells without a speed and an a, because they turn by themselves in a way"
-            f" that no helix explains: {listed_names}"
+            "no speed and no turning rate a are given for these cells, because they turn in a way "
+            f"that no helix explains: {listed_names}"
         )
     return convert_to_plain(
         {

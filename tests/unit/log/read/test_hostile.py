@@ -111,7 +111,9 @@ def test_a_record_is_decoded_from_its_own_bytes(log, contents, tmp_path, opcode)
 def test_a_larger_file_is_read_if_the_factor_says_so(log, monkeypatch):
     """A limit on forged logs never costs an honest one."""
     monkeypatch.setattr(raw_log, "file_limit", lambda: log.stat().st_size - 1)
-    with pytest.raises(LogError, match="TETRACTL_LOG_FACTOR=2, it reads twice as much"):
+    with pytest.raises(
+        LogError, match="to double the limit, set the environment variable TETRACTL"
+    ):
         scan(log)
     monkeypatch.undo()
     before = limits.file_limit(), limits.seconds_limit()

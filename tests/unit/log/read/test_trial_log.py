@@ -16,8 +16,8 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "advice"),
     [
-        ("green is lost", "is it hidden"),
-        ("the model does not fit: heading of green", "`tetractl identify` measures"),
+        ("green is lost", "check that it is switched on"),
+        ("the model does not fit: heading of green", "with `tetractl identify`"),
         ("the model fits again", ""),
         ("green stands still although it is sent a direction", ""),
         ("lost packets", ""),

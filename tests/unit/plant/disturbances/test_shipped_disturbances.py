@@ -206,7 +206,7 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
 
 
 def test_a_watchdog_shorter_than_the_time_between_two_commands_is_refused():
-    with pytest.raises(InvalidSpecError, match="would stop between two commands"):
+    with pytest.raises(InvalidSpecError, match="would stop them between two commands"):
         load_spec(ROOT / "experiments" / "three_m3pi.yaml", ["wheels.watchdog=0.05"])
 
 

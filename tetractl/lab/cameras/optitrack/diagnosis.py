@@ -195,7 +195,8 @@ def describe_missing_bodies(stream: NatNetStream, names: tuple[str, ...]) -> lis
     ]
     if not stream.model.complete:
         problems.append(
-            "the list of the cameras' rigid bodies could not be read completely: use ids"
+            "the camera server's list of rigid bodies could not be read completely: in the spec, "
+            "give the ids of the bodies instead of their names"
         )
     return problems
 
@@ -217,10 +218,10 @@ def _describe_missing_body(
         closest = min(stream.streamed_ids, key=lambda number: abs(number - body), default=None)
         suggestion = "" if closest is None else f"; the nearest id is {closest}"
     if body in ids or body in ids.values():
-        problem = f"do not stream the {description}: switch it on in Motive"
+        problem = f"does not stream the {description}: switch it on in Motive"
     else:
-        problem = f"know no {description}{suggestion}"
-    return f"the cameras {problem}; they have {list_bodies(stream)}"
+        problem = f"has no {description}{suggestion}"
+    return f"the camera server {problem}; it has {list_bodies(stream)}"
 
 
 def describe_dropped_datagrams(senders: SenderFilter, stream: NatNetStream) -> list[str]:

@@ -113,7 +113,7 @@ class Cursor:
             WireError: If fewer bytes remain.
         """
         if not 0 <= size <= self.remaining:
-            raise WireError(f"{size} bytes expected, but only {self.remaining} remain")
+            raise WireError(f"{size} bytes are expected, but only {self.remaining} remain")
         self.position += size
 
     def read(self, layout: Struct) -> tuple[Any, ...]:
@@ -156,8 +156,8 @@ class Cursor:
         """Raise WireError unless `count` elements fit into `size` bytes of the payload."""
         if not 0 <= count * size_min <= size <= self.remaining:
             raise WireError(
-                f"{count} elements of {size_min} bytes or more in {size} bytes; "
-                f"{self.remaining} bytes remain in the packet"
+                f"{count} elements of at least {size_min} bytes do not fit into the stated size "
+                f"of {size} bytes, or this size into the {self.remaining} bytes that remain"
             )
 
     def skip_elements(self, size: int) -> None:
@@ -193,7 +193,7 @@ class Cursor:
         start = self.position
         stop = self.data.find(b"\0", start, min(self.end, start + NAME_MAX + 1))
         if stop < 0:
-            raise WireError(f"a name of more than {NAME_MAX} bytes, or without its closing NUL")
+            raise WireError(f"a name has more than {NAME_MAX} bytes, or lacks its closing NUL")
         self.position = stop + 1
         return self.data[start:stop].decode("utf-8", "replace")
 
@@ -210,7 +210,9 @@ def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
     read_sections = _read_sized if layout.has_sizes else _read_measured
     bodies = read_sections(cursor, layout)
     if cursor.remaining:
-        raise WireError(f"{cursor.remaining} bytes between the last section and the suffix")
+        raise WireError(
+            f"there are {cursor.remaining} unexpected bytes between the last section and the suffix"
+        )
     fields = layout.suffix.unpack_from(payload, cursor.end)
     return natnet.NatNetFrame(
         number, bodies, fields[-2], fields[3] if layout.has_exposure_time else None

@@ -122,7 +122,7 @@ class ClockSync:
                 return (
                     f"the camera server's clock {('gained' if gained_ns > 0 else 'lost')} "
                     f"{abs(gained_ns) / 1000000.0:.1f} ms on this computer's clock within "
-                    f"{span_ns / SECOND:.2f} s: it was set, or runs at a wrong rate"
+                    f"{span_ns / SECOND:.2f} s: somebody set it, or it runs at a wrong rate"
                 )
         return ""
 
@@ -423,8 +423,10 @@ class NatNetStream:
             ids = [body_id for name, body_id in model.bodies if name == robot.body]
             if len(ids) > 1:
                 id_list = " and ".join(map(str, ids))
-                description = f"rigid bodies named '{robot.body}', of ids {id_list}"
-                return f"the cameras have {len(ids)} {description}"
+                return (
+                    f"the camera server has {len(ids)} rigid bodies named '{robot.body}', with "
+                    f"the ids {id_list}: give each its own name in Motive"
+                )
         return ""
 
     def _build_camera_frame(
@@ -440,7 +442,8 @@ class NatNetStream:
             if len(matching_bodies) > 1:
                 duplicate_fault = (
                     duplicate_fault
-                    or f"a frame has {len(matching_bodies)} rigid bodies of id {body_id}"
+                    or f"a camera frame has {len(matching_bodies)} rigid bodies with the id "
+                    f"{body_id}: give each its own id in Motive"
                 )
             if len(matching_bodies) != 1 or self.up_axis is None:
                 poses.append(None)

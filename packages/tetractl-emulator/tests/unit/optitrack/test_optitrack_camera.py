@@ -151,7 +151,7 @@ def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
         )
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
-        assert "know no rigid body with id 7 for blue; the nearest id is 1;" in problem
+        assert "has no rigid body with id 7 for blue; the nearest id is 1;" in problem
 
 
 @pytest.mark.parametrize("version", ["4.4", "4.5"])

@@ -150,7 +150,9 @@ def test_robots_rest_after_a_stop(events, fault):
 
 SENDER = {"kind": "sender as robots stop", "fault": "driven_elsewhere", "at": 0.0}
 SENDER |= {"counts": [20, 20], "rate": 100.0}
-NAMED = "error: trial 1: green is not tracked (0.30 s); still moves: green: switch it off\n"
+NAMED = (
+    "error: trial 1: green is not tracked (0.30 s); this robot still moves: green: switch it off\n"
+)
 
 
 def driven_on(held, unseen=(10.0, 10.0, 10.0)):

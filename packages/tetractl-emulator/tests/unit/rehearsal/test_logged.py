@@ -48,9 +48,17 @@ STAND = (9, 1, [True, False])
         ([(9, Steer(0.0), (True, True))], [AHEAD], None),
         ([(9, Steer(0.0), (True, False))], [STAND], None),
         ([(9, Turn(0.0), (True, True))], [STAND], None),  # it faces there
-        ([(9, Steer(0.0), (True, True))], [STAND], "the log has a robot driven that was not"),
+        (
+            [(9, Steer(0.0), (True, True))],
+            [STAND],
+            "the log says that a command reached a robot, but that robot was not driven",
+        ),
         ([(9, Stop(), (True, True))], [(9, 0, [False, False])], None),
-        ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])], "the log has a command twice"),
+        (
+            [(9, Stop(), (True, True))] * 2,
+            [(9, 0, [False, False])],
+            "the log contains a command twice, but it was sent once",
+        ),
         ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])] * 2, None),
     ],
 )
@@ -63,4 +71,4 @@ def test_a_log_need_not_have_what_was_sent_before_its_run():
     poll = (3, 4, [False, False])
     day = {"commands": [(9, Steer(0.0), (True, True))], "sent": [poll, AHEAD]}
     assert findings(**day, began_s=8e-9) == []
-    assert findings(**day, began_s=2e-9) == ["lacks a command"]
+    assert findings(**day, began_s=2e-9) == ["the log lacks a command that was sent"]

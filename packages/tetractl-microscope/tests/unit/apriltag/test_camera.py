@@ -149,7 +149,7 @@ DOWN = {"tilt": 0.0}
             {},
             {},
             [
-                "floor tags 101, 103 are not seen; tags seen: 0, 100, 102, 586",
+                "floor tags 101, 103 are not seen by the camera; tags seen: 0, 100, 102, 586",
                 "blue: the camera does not see tag 7",
             ],
             "",

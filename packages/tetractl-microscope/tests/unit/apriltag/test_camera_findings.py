@@ -62,7 +62,10 @@ def test_without_tags_and_calibration_there_are_fewer_facts():
     assert list(found.facts) == ["latency"]
     assert found.warnings == ()
     assert len(found.problems) == 4
-    assert found.problems[0] == "floor tags 100, 101, 102, 103 are not seen; tags seen: none"
+    assert (
+        found.problems[0]
+        == "floor tags 100, 101, 102, 103 are not seen by the camera; tags seen: none"
+    )
 
 
 @pytest.mark.parametrize(("shown", "of", "is_missing"), [(2, 4, False), (1, 4, True), (2, 5, True)])

@@ -75,7 +75,11 @@ def searches(**changes):
         ({"level": 3.0}, 11.0, "black"),
         ({"level": 252.0}, 11.0, "saturated"),
         ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
-        ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, but 2"),
+        (
+            {"poses": (None, None)},
+            11.0,
+            "the camera does not track first, second: 0 cells are in view, but 2",
+        ),
         (
             {"light": Light(1, 3.0, 9.0, 0.01, False, contrast_min=7.0)},
             11.0,

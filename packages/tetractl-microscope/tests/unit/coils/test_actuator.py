@@ -170,12 +170,12 @@ def test_leaving_switches_the_field_off_before_the_watchdog_would():
         (
             DriverLimits(1500, 100_000),
             {},
-            "allows only 1.5 A, but the spec 2 A: lower current_max_a in the spec",
+            "allows only 1.5 A, but the spec allows 2 A: lower current_max_a in the spec",
         ),
         (
             DriverLimits(2000, 50_000),
             {},
-            "allows only 50 A/s, but the spec 100 A/s: lower slew_max_a_s in the spec",
+            "allows only 50 A/s, but the spec allows 100 A/s: lower slew_max_a_s in the spec",
         ),
         (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, but the spec's is 0.25 s"),
         (LIMITS, {"supply_min_v": 20.0}, "supply voltage of the current driver is 12.00 V"),
@@ -193,8 +193,8 @@ def test_weak_coils_and_a_strong_driver_are_warned_of():
         health = actuator.check()
     assert health.problems == ()
     weak, strong = health.warnings
-    assert "only 3.97 of 5 mT in every direction" in weak
-    assert "the current driver allows 3 A" in strong
+    assert "a field of 5 mT, but in some directions the coils reach only 3.97 mT" in weak
+    assert "the current driver itself allows 3 A" in strong
 
 
 @needs_compiler

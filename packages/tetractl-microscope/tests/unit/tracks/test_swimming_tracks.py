@@ -105,8 +105,8 @@ def test_cells_that_move_together_are_said_to_with_both_speeds(count, common, ow
     lines = describe_moving_stage(in_all_directions(count, np.array(common), own))
     assert len(lines) == said
     for line in lines:
-        assert f"at 90 um/s, in addition to {own:.0f} um/s of their own" in line
-        assert "no a is fitted" not in line
+        assert f"at 90 um/s, while each swims at {own:.0f} um/s" in line
+        assert "no turning rate a is fitted" not in line
 
 
 TURNS = FieldRecord(np.arange(10.0), math.tau * np.arange(10) / 5)
@@ -128,7 +128,7 @@ def test_in_a_field_cells_are_carried_if_they_go_straight_while_it_turns(field, 
     paths = [path(k, (90.0, 0.5 * k), wobble_um) for k in range(10)]
     lines = describe_moving_stage(paths, field)
     assert len(lines) == said
-    assert all(line.endswith("and no a is fitted") for line in lines)
+    assert all(line.endswith("and no turning rate a is fitted") for line in lines)
 
 
 def test_a_field_whose_strength_varies_is_judged_by_its_directions():

@@ -122,7 +122,7 @@ def test_particles_that_drift_past_a_turning_field_are_said_to():
     paths = select_swimming_tracks(SOURCE, drifting, True).paths
     (said,) = describe_moving_stage(paths, turning_about)
     assert "does the stage move, or does the medium flow?" in said
-    assert "no a is fitted" in said
+    assert "no turning rate a is fitted" in said
     assert not describe_moving_stage(paths, to_one_side)
     for field in (turning_about, to_one_side):
         followed = [steered(number, field) for number in range(10)]

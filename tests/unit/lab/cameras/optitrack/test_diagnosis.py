@@ -146,15 +146,15 @@ def missing_of(*wanted, streamed_ids, complete=True):
 def test_only_a_robot_whose_body_is_not_streamed_is_named():
     assert missing_of("green", "blue", streamed_ids=(1, 2)) == []
     (line,) = missing_of("green", "blue", streamed_ids=(2,))
-    assert "do not stream the rigid body 'green' for robot green" in line
+    assert "does not stream the rigid body 'green' for robot green" in line
 
 
 def test_an_unknown_body_is_named_with_the_most_similar_one_that_is_free():
     (line,) = missing_of("gren", "blue", streamed_ids=(1, 2))
-    assert "know no rigid body 'gren'" in line
+    assert "has no rigid body 'gren'" in line
     assert "green" in line.partition("they have")[0]
     (line,) = missing_of(7, streamed_ids=(1, 2))
-    assert "know no rigid body with id 7 for robot 7; the nearest id is 2" in line
+    assert "has no rigid body with id 7 for robot 7; the nearest id is 2" in line
     (line,) = missing_of(7, streamed_ids=())
     assert "nearest" not in line
 

@@ -166,11 +166,11 @@ def test_no_pose_is_known_before_the_axis_that_points_up():
 
 def test_two_bodies_with_a_robots_name_or_number_are_a_fault():
     named = streaming(model=(("G", 11), ("G", 13), ("other", 4), ("other", 5)))
-    assert "2 rigid bodies named 'G', of ids 11 and 13" in take(named, frame(1), MS).fault
+    assert "2 rigid bodies named 'G', with the ids 11 and 13" in take(named, frame(1), MS).fault
     honest = streaming(model=(("G", 11), ("other", 4), ("other", 5)))
     assert take(honest, frame(1, body(11), body(4), body(4)), MS).fault == ""
     seen = take(honest, frame(2, body(12), body(12), body(11)), 2 * MS)
-    assert "2 rigid bodies of id 12" in seen.fault
+    assert "2 rigid bodies with the id 12" in seen.fault
     assert [pose is None for pose in seen.poses] == [False, True]
     assert take(honest, frame(3, body(12), body(11)), 3 * MS).fault == "", "in that frame only"
 

@@ -518,7 +518,7 @@ def targets_near_each_other(context: CheckContext) -> Findings:
             gap = context.length_text(distance)
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is only {gap} from the target of {neighbour}, so that the two robots might "
+                f"is {gap} from the target of {neighbour}, so that the two robots might "
                 f"touch: the controller keeps them {separation_min:.4g} {context.unit} apart",
                 "move the targets apart; otherwise a trial ends with a total error of about "
                 f"{separation_min - distance:.2g} {context.unit} or more",

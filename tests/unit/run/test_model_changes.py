@@ -121,7 +121,7 @@ def test_a_latency_that_is_wrong_is_named(dead_time, std, told):
     error = "the spec says that commands act 0.030 s after they are sent, but they act "
     advice = f"{told}: check controller.dead_time or lab.camera.latency. "
     estimated = (
-        f"The controller estimates {dead_time:.3f} s, but this value is uncertain while its "
+        f"The controller estimates {dead_time:.3f} s, but this is uncertain while its "
         "model does not fit"
     )
     assert texts[1:] == ([error + advice + estimated] if told else [])

@@ -84,7 +84,7 @@ class TrackFrames:
         watchdog_s: Robots that receive nothing for this time stop [s].
         lag_s: Time constant with which the wheels follow [s].
         hold_moments: For how long the wheels keep a rate, in the form of
-            `model.motion.turn_rate.turning_with_hold` [s, s2, s3].
+            `model.motion.turn_rate.compute_held_turning_rate` [s, s2, s3].
     """
 
     time_s: Floats

@@ -11,15 +11,15 @@ import numpy as np
 
 from tetractl.control.search.cost import predict
 from tetractl.control.search.kernels.levenberg import (
+    DAMPING_DECREASE,
     DAMPING_FIRST,
-    DAMPING_LEAST,
-    DAMPING_MOST,
+    DAMPING_INCREASE,
+    DAMPING_MAX,
+    DAMPING_MIN,
     DEPTH_WEIGHT,
-    EASED,
-    FLOOR_LEAST,
-    LARGEST_STEP,
+    FLOOR_MIN,
     PROGRESS,
-    STIFFENED,
+    SIGNAL_CHANGE_MAX,
     PolishSettings,
 )
 from tetractl.core.plan import Problem
@@ -107,7 +107,7 @@ def polish(problem: Problem, signals: Floats, settings: PolishSettings, budget: 
     robots = len(problem.a)
     pairs = len(list(itertools.combinations(range(robots), 2))) if problem.separation else 0
     residuals_max = 2 * robots + robots * problem.obstacles.count + pairs
-    floor = max(settings.tolerance, FLOOR_LEAST)
+    floor = max(settings.tolerance, FLOOR_MIN)
     path = Path(problem, signals)
     merits = [path.merit()]
     evaluations = 1
@@ -124,25 +124,25 @@ def polish(problem: Problem, signals: Floats, settings: PolishSettings, budget: 
         better = None
         while (
             len(merits) - 1 < settings.iterations_max
-            and damping < DAMPING_MOST
+            and damping < DAMPING_MAX
             and evaluations < budget
         ):
             y = np.linalg.solve(squares + damping * mean_square * np.eye(len(r)), r)
             change = jacobian.T @ y
-            change *= min(1.0, LARGEST_STEP / np.abs(change).max())
+            change *= min(1.0, SIGNAL_CHANGE_MAX / np.abs(change).max())
             evaluations += 1
             tried = Path(problem, signals - change)
             if tried.merit() < merits[-1]:
                 better = tried
                 break
             merits.append(merits[-1])
-            damping *= STIFFENED
+            damping *= DAMPING_INCREASE
         if better is None:
             break
         path = better
         signals = signals - change
         merits.append(path.merit())
-        damping = max(EASED * damping, DAMPING_LEAST)
+        damping = max(DAMPING_DECREASE * damping, DAMPING_MIN)
         z = len(merits) - 1
         if z >= settings.patience and merits[z] > PROGRESS * merits[z - settings.patience]:
             break

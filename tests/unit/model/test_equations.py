@@ -27,7 +27,11 @@ EQUATIONS = {
     "(24)-(25)": wheel_equations.wheel_speeds,
 }
 MOTIONS = {"euler.py", "exact.py", "turn_rate.py"}
-TURN = re.compile(r"\ba \* (np|math)\.sin\(|su \* c - cu \* s")
+TURN = re.compile(
+    r"\ba \* (np|math)\.sin\("
+    r"|su \* c - cu \* s"
+    r"|direction_sin \* heading_cos - direction_cos \* heading_sin"
+)
 
 
 @pytest.mark.parametrize("equation", EQUATIONS)

@@ -61,7 +61,7 @@ def compiled_touches(corners, radius, x0, y0, x1, y1):
 
 @njit
 def compiled_nearest(corners, radius, x, y):
-    return kernel.nearest(corners, len(corners), radius, x, y)
+    return kernel.distance_and_normal(corners, len(corners), radius, x, y)
 
 
 def test_the_strategies_know_every_kind_that_is_built_in():

@@ -9,7 +9,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tetractl.model.motion.exact import differentiate
-from tetractl.model.motion.turn_rate import turning, turning_with_hold, with_turning_derivatives
+from tetractl.model.motion.turn_rate import (
+    add_turning_derivatives,
+    compute_held_turning_rate,
+    compute_turning_rate,
+)
 
 ANGLES = st.floats(-3.1, 3.1)
 SIDES = st.floats(-0.4, 0.4)
@@ -24,8 +28,8 @@ def step(heading, u, a, side, saturation, t=T):
     s = math.sin(heading)
     cu = math.cos(u)
     su = math.sin(u)
-    rate, slopes = turning(c, s, cu, su, (a, V, side, saturation), t)
-    return with_turning_derivatives(differentiate(c, s, cu, su, (rate, V), t), slopes)
+    rate, slopes = compute_turning_rate(c, s, cu, su, (a, V, side, saturation), t)
+    return add_turning_derivatives(differentiate(c, s, cu, su, (rate, V), t), slopes)
 
 
 def integrated(heading, u, a, side, saturation):
@@ -106,7 +110,7 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
     def change(_, phi_now):
         c = math.cos(phi_now[0])
         s = math.sin(phi_now[0])
-        rate, _ = turning_with_hold(a, (0.0, 0.0, 0.0), c, s, hold)
+        rate, _ = compute_held_turning_rate(a, (0.0, 0.0, 0.0), c, s, hold)
         return [-rate * s]
 
     span = (0.0, float(steps_s.sum()))
@@ -121,10 +125,12 @@ def test_the_slope_of_a_kept_rate_is_its_derivative(phi):
     small = 1e-6
 
     def ln_rate(phi_there):
-        rate, _ = turning_with_hold(6.0, no_slopes, math.cos(phi_there), math.sin(phi_there), hold)
+        rate, _ = compute_held_turning_rate(
+            6.0, no_slopes, math.cos(phi_there), math.sin(phi_there), hold
+        )
         return math.log(rate)
 
-    _, slopes = turning_with_hold(6.0, no_slopes, math.cos(phi), math.sin(phi), hold)
+    _, slopes = compute_held_turning_rate(6.0, no_slopes, math.cos(phi), math.sin(phi), hold)
     expected = (ln_rate(phi + small) - ln_rate(phi - small)) / (2 * small)
     assert slopes[0] == pytest.approx(expected, abs=1e-6)
 

@@ -29,7 +29,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
-from tetractl.model.motion.turn_rate import all_in_rows, turning
+from tetractl.model.motion.turn_rate import compute_turning_rate, parameters_in_rows
 
 STRAY_SLOPE = 0.3
 """Slope 0.3 of h(d) beyond d = 1, where d is a robot's distance to its target in units of R."""
@@ -99,7 +99,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     directions = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same for all robots
     if problem.bias is not None:
         directions = directions + problem.bias  # (L, ..., N)
-    parameters = all_in_rows(problem)
+    parameters = parameters_in_rows(problem)
     needs_rates = problem.side is not None or problem.saturation is not None
     for j, u in enumerate(directions):
         seconds = problem.first_period if j == 0 else problem.period
@@ -122,7 +122,7 @@ def _turning_rates(heading: Floats, u: Floats, parameters: Floats, seconds: floa
     """
 
     def rate(c: float, s: float, cu: float, su: float, *robot: float) -> float:
-        return turning(c, s, cu, su, robot, seconds)[0]
+        return compute_turning_rate(c, s, cu, su, robot, seconds)[0]
 
     vectorised_rate = np.vectorize(rate)
     direction = elementwise.cos(u), elementwise.sin(u)

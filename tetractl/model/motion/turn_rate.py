@@ -29,7 +29,7 @@ class RobotParameters(NamedTuple):
     saturation: float
 
 
-def all_in_rows(robots: Any) -> Floats:
+def parameters_in_rows(robots: Any) -> Floats:
     """Collect the `RobotParameters` of a problem's robots in an array (N, 4)."""
     rows = np.empty((len(robots.a), 4))
     rows[:, 0] = robots.a
@@ -39,26 +39,35 @@ def all_in_rows(robots: Any) -> Floats:
     return rows
 
 
-def is_left(c: float, s: float, cu: float, su: float) -> bool:
+def is_left(
+    heading_cos: float, heading_sin: float, direction_cos: float, direction_sin: float
+) -> bool:
     """Check whether a robot turns to the left, or not at all.
 
     Args:
-        c: Cosine of the heading.
-        s: Sine of the heading.
-        cu: Cosine of the direction.
-        su: Sine of the direction.
+        heading_cos: Cosine of the heading.
+        heading_sin: Sine of the heading.
+        direction_cos: Cosine of the direction.
+        direction_sin: Sine of the direction.
     """
-    return su * c - cu * s >= 0
+    return direction_sin * heading_cos - direction_cos * heading_sin >= 0
 
 
-def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Any:
+def compute_turning_rate(
+    heading_cos: float,
+    heading_sin: float,
+    direction_cos: float,
+    direction_sin: float,
+    robot: Any,
+    t: float,
+) -> Any:
     """Compute the turning rate a of a step, and the derivatives of its logarithm.
 
     Args:
-        c: Cosine of the heading.
-        s: Sine of the heading.
-        cu: Cosine of the direction u.
-        su: Sine of the direction u.
+        heading_cos: Cosine of the heading.
+        heading_sin: Sine of the heading.
+        direction_cos: Cosine of the direction u.
+        direction_sin: Sine of the direction u.
         robot: The robot's `RobotParameters`.
         t: Duration of the step [s].
 
@@ -67,14 +76,14 @@ def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> A
         `saturation`.
     """
     a, _, side, saturation = robot
-    sin_phi = su * c - cu * s
-    factor = exp(side)
+    sin_phi = direction_sin * heading_cos - direction_cos * heading_sin
+    side_factor = exp(side)
     sign = 1.0 if sin_phi >= 0 else -1.0  # 1 to the left
-    rate = a * factor if sin_phi >= 0 else a / factor
+    rate = a * side_factor if sin_phi >= 0 else a / side_factor
     if saturation >= 1:
         return rate, (0.0, sign, 0.0)
-    rate_max = a * max(factor, 1 / factor) * saturation
-    cos_phi = cu * c + su * s
+    rate_max = a * max(side_factor, 1 / side_factor) * saturation
+    cos_phi = direction_cos * heading_cos + direction_sin * heading_sin
     sin_phi_size = abs(sin_phi)
     # half the turn of the step, and sin |phi| in the middle of it
     sin_half_turn, cos_half_turn = sincos(
@@ -87,8 +96,8 @@ def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> A
     return rate_max / sin_middle, (slope, 1.0 if side >= 0 else -1.0, 1.0)
 
 
-def turning_with_hold(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
-    """Compute the turning rate like `turning`, for wheels that keep a rate until the next is sent.
+def compute_held_turning_rate(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
+    """Compute the turning rate of wheels that keep a rate until the next rate is sent.
 
     Such wheels are sent the rate a sin(phi) of a heading. This is Euler's method. By its modified
     equation (Hairer, Lubich and Wanner, Geometric Numerical Integration, section IX.1), phi follows
@@ -98,18 +107,18 @@ def turning_with_hold(a: float, slopes: Any, c: float, s: float, hold: Any) -> A
 
     Args:
         a: Turning rate [rad/s].
-        slopes: Its derivatives, as `turning` returns them.
+        slopes: Derivatives of ln a, as `compute_turning_rate` returns them.
         c: Cosine of phi.
         s: Sine of phi.
         hold: Means over time of the first three powers of how long a rate is kept [s, s2, s3].
     """
     rate = min(a, 1.0 / hold[0])  # beyond, the series says nothing
-    first = rate * hold[0]
-    second = rate * rate * hold[1]
-    third = rate * rate * rate * hold[2]
-    factor = 1 + first * c / 2 + second * (c * c / 3 - s * s / 12)
-    factor += third * c * (c * c / 4 - s * s / 6)
-    slope = first / 2 + second * c * 5 / 6 + third * (c * c * 13 / 12 - s * s / 6)
+    x_1 = rate * hold[0]
+    x_2 = rate * rate * hold[1]
+    x_3 = rate * rate * rate * hold[2]
+    factor = 1 + x_1 * c / 2 + x_2 * (c * c / 3 - s * s / 12)
+    factor += x_3 * c * (c * c / 4 - s * s / 6)
+    slope = x_1 / 2 + x_2 * c * 5 / 6 + x_3 * (c * c * 13 / 12 - s * s / 6)
     return a * factor, (slopes[0] - s * slope / factor, slopes[1], slopes[2])
 
 
@@ -118,17 +127,24 @@ def scale_derivatives(derivatives: Any, factor: float) -> Any:
     return derivatives[0] * factor, derivatives[1] * factor, derivatives[2] * factor
 
 
-def with_turning_derivatives(derivatives: Derivatives, slopes: Any) -> Derivatives:
+def add_turning_derivatives(derivatives: Derivatives, slopes: Any) -> Derivatives:
     """Add the derivatives with respect to side and saturation to a step's `Derivatives`.
 
-    The step was computed with the turning rate a of `turning`, and `slopes` are the derivatives of
-    ln a that `turning` returned. The derivatives with respect to heading and direction are
-    corrected, because a depends on them.
+    The step was computed with the turning rate a of `compute_turning_rate`, and `slopes` are the
+    derivatives of ln a that this function returned. The derivatives with respect to heading and
+    direction are corrected, because a depends on them.
     """
-    step, (x_h, y_h, turn_h), (x_u, y_u, turn_u), (by_a, by_speed) = derivatives
-    dx, dy, dturn = scale_derivatives(by_a, slopes[0])  # by phi: a changes with it, too
-    by_heading = (x_h - dx, y_h - dy, turn_h - dturn)
-    by_u = (x_u + dx, y_u + dy, turn_u + dturn)
+    (
+        step,
+        (x_by_heading, y_by_heading, turn_by_heading),
+        (x_by_u, y_by_u, turn_by_u),
+        (by_a, by_speed),
+    ) = derivatives
+    x_by_phi, y_by_phi, turn_by_phi = scale_derivatives(
+        by_a, slopes[0]
+    )  # by phi: a changes with it, too
+    by_heading = (x_by_heading - x_by_phi, y_by_heading - y_by_phi, turn_by_heading - turn_by_phi)
+    by_u = (x_by_u + x_by_phi, y_by_u + y_by_phi, turn_by_u + turn_by_phi)
     by_side = scale_derivatives(by_a, slopes[1])
     by_saturation = scale_derivatives(by_a, slopes[2])
     return step, by_heading, by_u, (by_a, by_speed, by_side, by_saturation)

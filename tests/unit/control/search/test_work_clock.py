@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from testkit.paths import ROOT
 
-from tetractl.control.search.kernels.multistart import BETWEEN_LOOKS
+from tetractl.control.search.kernels.multistart import ROBOT_STEPS_PER_CHECK
 from tetractl.control.search.work_clock import ROBOT_STEP_NS, SEARCH_NS, WorkClock
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Limits, Search, StopReason, never_expires
@@ -60,7 +60,7 @@ def test_four_robots_are_planned_for_within_the_deadline(tmp_path):
         return SEARCH_NS + robot_steps * ROBOT_STEP_NS
 
     work = [sum(map(work_of_search_ns, plan.searches)) for plan in moving]
-    look = 2 * BETWEEN_LOOKS * ROBOT_STEP_NS + SEARCH_NS
+    look = 2 * ROBOT_STEPS_PER_CHECK * ROBOT_STEP_NS + SEARCH_NS
     deadline_ns = spec.experiment.controller.deadline * SECOND
     assert max(work) <= deadline_ns + look
     ended = [search.stopped for plan in moving for search in plan.searches]

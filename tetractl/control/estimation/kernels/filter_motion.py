@@ -58,19 +58,19 @@ from tetractl.control.search.kernels.elementary import cos, exp, sin
 from tetractl.model.motion import exact, wheel_equations
 from tetractl.model.motion.turn_rate import (
     RobotParameters,
+    add_turning_derivatives,
+    compute_held_turning_rate,
+    compute_turning_rate,
     scale_derivatives,
-    turning,
-    turning_with_hold,
-    with_turning_derivatives,
 )
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 differentiate = inlined(exact.differentiate)
 arc_displacement = inlined(wheel_equations.arc_displacement)
-turn_rate = inlined(turning)
-held_turn_rate = inlined(turning_with_hold)
-with_turning = inlined(with_turning_derivatives)
+turn_rate = inlined(compute_turning_rate)
+held_turn_rate = inlined(compute_held_turning_rate)
+with_turning = inlined(add_turning_derivatives)
 scaled = inlined(scale_derivatives)
 
 STILL_PACE = 1e-3

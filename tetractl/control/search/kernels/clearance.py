@@ -10,7 +10,12 @@ with straight segments in between.
 import math
 
 from tetractl.control.search.kernels.elementary import hypot
-from tetractl.control.search.kernels.obstacles import box, nearest, touches, wall_distance
+from tetractl.control.search.kernels.obstacles import (
+    box,
+    distance_and_normal,
+    touches,
+    wall_distance,
+)
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
@@ -22,19 +27,19 @@ def _distance(obstacles, o, x, y):
     if o >= shapes:
         return wall_distance(obstacles.walls, o - shapes, x, y)
     corners = obstacles.corners[o]
-    return nearest(corners, obstacles.corner_counts[o], obstacles.radii[o], x, y)[0]
+    return distance_and_normal(corners, obstacles.corner_counts[o], obstacles.radii[o], x, y)[0]
 
 
 @compiled(**INLINE_EXACT)
-def _least_distance(obstacles, x, y):
+def _min_distance(obstacles, x, y):
     """Compute the distance of (x, y) to the nearest obstacle or wall, negative inside.
 
     It is inf if there is none.
     """
-    least = math.inf
+    min_distance = math.inf
     for o in range(obstacles.radii.size + obstacles.walls.size):
-        least = min(least, _distance(obstacles, o, x, y))
-    return least
+        min_distance = min(min_distance, _distance(obstacles, o, x, y))
+    return min_distance
 
 
 @compiled(**INLINE_EXACT)
@@ -85,11 +90,11 @@ def min_pair_distance(x, y):
 
     It is inf for a single point.
     """
-    least = math.inf
+    min_distance = math.inf
     for i in range(x.size):
         for k in range(i):
-            least = min(least, hypot(x[k] - x[i], y[k] - y[i]))
-    return least
+            min_distance = min(min_distance, hypot(x[k] - x[i], y[k] - y[i]))
+    return min_distance
 
 
 @compiled(**ENTRY)
@@ -117,9 +122,9 @@ def _meets_another(i, radius, path):
     """
     for m in range(1, path.shape[0]):
         for k in range(i):
-            before = hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
-            apart = hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
-            if apart < min(2 * radius, before):
+            initial_distance = hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
+            distance = hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
+            if distance < min(2 * radius, initial_distance):
                 return True
     return False
 
@@ -133,12 +138,12 @@ def _enters_obstacle(i, grown, path):
     """
     if not _touches_obstacle(i, grown, path):
         return False
-    first = _least_distance(grown, path[0, i, 0], path[0, i, 1])
-    begins_clear = first > 0
+    initial_distance = _min_distance(grown, path[0, i, 0], path[0, i, 1])
+    begins_clear = initial_distance > 0
     if begins_clear:
         return True
     for m in range(1, path.shape[0]):
-        if _least_distance(grown, path[m, i, 0], path[m, i, 1]) < first:
+        if _min_distance(grown, path[m, i, 0], path[m, i, 1]) < initial_distance:
             return True
     return False
 

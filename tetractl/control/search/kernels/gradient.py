@@ -2,14 +2,14 @@
 
 A signal u turns a robot and moves it by a displacement d(heading, u), called a step. `trace` stores
 the partial derivatives of each step: the derivatives of d with respect to the heading and to u, and
-`keep`, the derivative of the next heading with respect to the heading. Because a robot's turn
-depends only on u - heading, the derivative of the next heading with respect to u is 1 - keep. From
-these, `backward` computes the derivatives of one position with respect to all signals before it,
-with the chain rule backwards in time.
+`heading_kept`, the derivative of the next heading with respect to the heading. Because a robot's
+turn depends only on u - heading, the derivative of the next heading with respect to u is 1 -
+heading_kept. From these, `backpropagate` computes the derivatives of one position with respect to
+all signals before it, with the chain rule backwards in time.
 
 Only the headings depend on the step before. They are computed first. Then the steps of a robot are
 independent of each other, and the loop over them becomes vector code. For this purpose, arrays over
-the L signals are padded to M = width(L) entries; the entries beyond the last signal have no
+the L signals are padded to M = padded_length(L) entries; the entries beyond the last signal have no
 meaning. Each quantity is a separate array (N, M), because the compiler could not exclude an overlap
 within a common array.
 """
@@ -35,7 +35,8 @@ _wrap = inlined(wrap)
 class Trace(NamedTuple):
     """The path of N robots under L signals, with the derivatives of its steps. `trace` fills it.
 
-    Each array has M = width(L) entries along the signals, M >= L, so that loops become vector code.
+    Each array has M = padded_length(L) entries along the signals, M >= L, so that loops become
+    vector code.
     """
 
     cos_u: Floats
@@ -58,13 +59,13 @@ class Trace(NamedTuple):
     """Derivative of dx of each step with respect to its signal [length unit/rad], shape (N, M)."""
     y_by_u: Floats
     """Derivative of dy of each step with respect to its signal [length unit/rad], shape (N, M)."""
-    keep: Floats
+    heading_kept: Floats
     """Derivative of the heading after each step with respect to the one before, shape (N, M)."""
 
     @classmethod
-    def room_for(cls, robots: int, length: int) -> "Trace":
+    def allocate(cls, robots: int, length: int) -> "Trace":
         """Allocate the arrays of a `Trace`, without a path, for numbers of robots and signals."""
-        across = width(length)
+        across = padded_length(length)
         shape = (robots, across)
         return cls(
             cos_u=np.ones(across),
@@ -77,11 +78,11 @@ class Trace(NamedTuple):
             y_by_heading=np.empty(shape),
             x_by_u=np.empty(shape),
             y_by_u=np.empty(shape),
-            keep=np.empty(shape),
+            heading_kept=np.empty(shape),
         )
 
 
-def width(length: int) -> int:
+def padded_length(length: int) -> int:
     """Return the length of arrays for `length` signals: the next multiple of VECTOR_SIZE."""
     return -(-length // VECTOR_SIZE) * VECTOR_SIZE
 
@@ -97,22 +98,22 @@ def trace(u, problem, path):
     """
     for j in range(u.size):
         path.sin_u[j], path.cos_u[j] = _sincos(_wrap(u[j]))
-    _turn(u.size, problem, path)
+    _compute_headings(u.size, problem, path)
     for i in range(len(problem.robots)):
         robot = robot_of(problem.robots, i)
         if saturates(robot):
-            _move(i, robot, problem, path)
+            _compute_displacements(i, robot, problem, path)
         else:  # with a constant, so that the compiler leaves out what it does not need
-            steady = RobotParameters(robot.a, robot.speed, robot.side, NEVER_SATURATES)
-            _move(i, steady, problem, path)
-        _add_up(i, u.size, problem, path)
+            unsaturated = RobotParameters(robot.a, robot.speed, robot.side, NEVER_SATURATES)
+            _compute_displacements(i, unsaturated, problem, path)
+        _sum_displacements(i, u.size, problem, path)
 
 
 @compiled(**INLINE_FAST)
-def _turn(length, problem, path):
+def _compute_headings(length, problem, path):
     """Compute cosine and sine of each robot's heading before each of `length` signals."""
-    first = problem.first
-    rest = problem.rest
+    first_lanes = problem.first_lanes
+    later_lanes = problem.later_lanes
     robots = problem.robots
     bias_cos = problem.bias_cos
     bias_sin = problem.bias_sin
@@ -126,27 +127,27 @@ def _turn(length, problem, path):
     for j in range(length - 1):
         seconds = problem.first_period if j == 0 else problem.period
         for i in range(len(robots)):
-            lanes = first if j == 0 else rest
+            lanes = first_lanes if j == 0 else later_lanes
             robot = robot_of(robots, i)
-            cu = cos_u[j] * bias_cos[i] - sin_u[j] * bias_sin[i]
-            su = sin_u[j] * bias_cos[i] + cos_u[j] * bias_sin[i]
+            direction_cos = cos_u[j] * bias_cos[i] - sin_u[j] * bias_sin[i]
+            direction_sin = sin_u[j] * bias_cos[i] + cos_u[j] * bias_sin[i]
             cos[i, j + 1], sin[i, j + 1] = turned(
-                lanes, cos[i, j], sin[i, j], cu, su, i, robot, seconds
+                lanes, cos[i, j], sin[i, j], direction_cos, direction_sin, i, robot, seconds
             )
 
 
 @compiled(**INLINE_FAST)
-def _move(i, robot, problem, path):
+def _compute_displacements(i, robot, problem, path):
     """Compute the displacement of robot i by each signal, in x and y, and its derivatives.
 
     All signals are first computed as if each were held for a whole signal period, because vector
     code needs equal steps. The first signal is then computed again if it is held for another time.
     """
-    first_again = 0 if problem.first_period == problem.period else 1
+    n_recomputed = 0 if problem.first_period == problem.period else 1
     all_signals = (problem.period, path.cos.shape[1])
-    the_first = (problem.first_period, first_again)
-    cb = problem.bias_cos[i]
-    sb = problem.bias_sin[i]
+    first_signal = (problem.first_period, n_recomputed)
+    bias_cos = problem.bias_cos[i]
+    bias_sin = problem.bias_sin[i]
     cos_u = path.cos_u
     sin_u = path.sin_u
     cos = path.cos[i]
@@ -157,21 +158,21 @@ def _move(i, robot, problem, path):
     y_by_heading = path.y_by_heading[i]
     x_by_u = path.x_by_u[i]
     y_by_u = path.y_by_u[i]
-    keep = path.keep[i]
-    for seconds, signals in (all_signals, the_first):
-        for j in range(signals):
-            cu = cos_u[j] * cb - sin_u[j] * sb
-            su = sin_u[j] * cb + cos_u[j] * sb
+    heading_kept = path.heading_kept[i]
+    for seconds, n_signals in (all_signals, first_signal):
+        for j in range(n_signals):
+            direction_cos = cos_u[j] * bias_cos - sin_u[j] * bias_sin
+            direction_sin = sin_u[j] * bias_cos + cos_u[j] * bias_sin
             step, by_heading, by_u, _ = derivatives(
-                problem.rest, cos[j], sin[j], cu, su, robot, seconds
+                problem.later_lanes, cos[j], sin[j], direction_cos, direction_sin, robot, seconds
             )
             x[j], y[j], _ = step
-            x_by_heading[j], y_by_heading[j], keep[j] = by_heading
+            x_by_heading[j], y_by_heading[j], heading_kept[j] = by_heading
             x_by_u[j], y_by_u[j], _ = by_u
 
 
 @compiled(**INLINE_FAST)
-def _add_up(i, length, problem, path):
+def _sum_displacements(i, length, problem, path):
     """Turn the displacements of robot i into positions after each signal, including the flow."""
     x = path.x
     y = path.y
@@ -185,12 +186,12 @@ def _add_up(i, length, problem, path):
 
 
 @compiled(**PART_FAST)
-def backward(path, i, signal, east, north, row):
+def backpropagate(path, i, signal, east, north, row):
     """Add to `row` how much each signal moves a robot's later position along a given vector.
 
-    Signal j moves the robot in its own step. It also turns the robot, by 1 - keep. `by_heading` is
-    the effect of the heading before step j + 1 on all later steps. It is known when the loop
-    reaches j, because the loop runs backwards in time.
+    Signal j moves the robot in its own step. It also turns the robot, by 1 - heading_kept.
+    `by_heading` is the effect of the heading before step j + 1 on all later steps. It is known when
+    the loop reaches j, because the loop runs backwards in time.
 
     Args:
         path: A filled `Trace`.
@@ -202,8 +203,8 @@ def backward(path, i, signal, east, north, row):
     """
     by_heading = 0.0
     for j in range(signal, -1, -1):
-        keep = path.keep[i, j]
+        heading_kept = path.heading_kept[i, j]
         step_by_u = east * path.x_by_u[i, j] + north * path.y_by_u[i, j]
         step_by_heading = east * path.x_by_heading[i, j] + north * path.y_by_heading[i, j]
-        row[j] += step_by_u + by_heading * (1 - keep)
-        by_heading = step_by_heading + by_heading * keep
+        row[j] += step_by_u + by_heading * (1 - heading_kept)
+        by_heading = step_by_heading + by_heading * heading_kept

@@ -24,10 +24,10 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.polynomials import onwards
 from tetractl.model.motion.turn_rate import (
     RobotParameters,
-    all_in_rows,
+    add_turning_derivatives,
+    compute_turning_rate,
     is_left,
-    turning,
-    with_turning_derivatives,
+    parameters_in_rows,
 )
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import (
@@ -37,8 +37,8 @@ from tetractl.tools.kernels.kernel_options import (
     inlined,
 )
 
-rate = inlined(turning)
-with_turning = inlined(with_turning_derivatives)
+turning_rate = inlined(compute_turning_rate)
+with_turning = inlined(add_turning_derivatives)
 turns_left = inlined(is_left)
 
 
@@ -67,12 +67,12 @@ class FlatProblem(NamedTuple):
     """How long the first signal is held [s]."""
     period: float
     """How long each later signal is held [s]."""
-    first: Any
+    first_lanes: Any
     """Constants of the motion during the first signal, as the motion's `Lanes`.
 
     They have 2N rows: the robots when they turn left, then the same robots turning right.
     """
-    rest: Any
+    later_lanes: Any
     """Constants of the motion during the later signals, as an object of the same class."""
     obstacles: ObstacleArrays
     obstacle_weight: float
@@ -90,17 +90,17 @@ def flatten(problem: Problem) -> FlatProblem:
     Repeated calls share them: do not change them.
     """
     heading = problem.poses.heading
-    robots = all_in_rows(problem)
+    robots = parameters_in_rows(problem)
     count = len(robots)
-    kind: Any = MOTIONS.load(problem.motion).lanes
+    lanes_class: Any = MOTIONS.load(problem.motion).lanes
     side_factor = elementwise.exp(robots[:, 2])
     left_and_right = np.concatenate([robots[:, :2], robots[:, :2]])
     left_and_right[:count, 0] *= side_factor
     left_and_right[count:, 0] /= side_factor
-    rest = kind.of(left_and_right, problem.period)
-    first = rest
+    later_lanes = lanes_class.of(left_and_right, problem.period)
+    first_lanes = later_lanes
     if problem.first_period != problem.period:
-        first = kind.of(left_and_right, problem.first_period)
+        first_lanes = lanes_class.of(left_and_right, problem.first_period)
     bias_cos, bias_sin, flow_x, flow_y = problem.drift
     return FlatProblem(
         poses=problem.poses.array(),
@@ -114,8 +114,8 @@ def flatten(problem: Problem) -> FlatProblem:
         flow=np.column_stack([flow_x, flow_y]),
         first_period=float(problem.first_period),
         period=float(problem.period),
-        first=first,
-        rest=rest,
+        first_lanes=first_lanes,
+        later_lanes=later_lanes,
         obstacles=arrays_of(problem.obstacles),
         obstacle_weight=float(problem.obstacle_weight),
         swept=problem.swept,
@@ -184,7 +184,7 @@ def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i, robot, t):
                 s = sin[i, n]
                 cu = cos_u[n]
                 su = sin_u[n]
-                a = rate(c, s, cu, su, robot, t)[0]
+                a = turning_rate(c, s, cu, su, robot, t)[0]
                 way = whole_step(c, s, cu, su, (a, robot.speed), t)[0]
                 x[i, n], y[i, n], cos[i, n], sin[i, n] = moved_by(x[i, n], y[i, n], c, s, way)
             return
@@ -232,7 +232,7 @@ def _turned(lanes, c, s, cu, su, i, robot, t):
         x = 0.0
         y = 0.0
         if saturates(robot):
-            a = rate(c, s, cu, su, robot, t)[0]
+            a = turning_rate(c, s, cu, su, robot, t)[0]
             way = whole_step(c, s, cu, su, (a, robot.speed), t)[0]
             x, y, c, s = moved_by(x, y, c, s, way)
             return c, s
@@ -264,7 +264,7 @@ def _derivatives(lanes, c, s, cu, su, robot, t):
     step = inlined(lanes.instance_class.differentiate)
 
     def derivatives(lanes, c, s, cu, su, robot, t):
-        a, slopes = rate(c, s, cu, su, robot, t)
+        a, slopes = turning_rate(c, s, cu, su, robot, t)
         return with_turning(step(c, s, cu, su, (a, robot.speed), t), slopes)
 
     return derivatives

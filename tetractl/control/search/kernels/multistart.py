@@ -30,24 +30,24 @@ from tetractl.control.search.kernels.levenberg import (
     POLISH_STATE,
     Integers,
     PolishSettings,
-    Room,
-    judge,
+    Workspace,
     polish,
+    wrap_and_evaluate,
 )
 from tetractl.control.search.kernels.motion import FlatProblem
 from tetractl.control.search.kernels.rollout import Rollouts, compute_costs
-from tetractl.control.search.kernels.update import drawn
+from tetractl.control.search.kernels.update import random_bits
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 from tetractl.model.motion.motion import UPPER
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, PART_FAST, inlined
 
-BETWEEN_LOOKS = 130_000
+ROBOT_STEPS_PER_CHECK = 130_000
 """Number of robot steps between two checks of the deadline. They take less than 1 ms."""
 NEAR_WARM = 0.5
 """Maximum difference of a random sequence around the warm start from the warm start [rad]."""
-S11 = np.uint64(11)
+FRACTION_SHIFT = np.uint64(11)
 """Shift of a random number [bits] that leaves the 53 bits of a float64's fraction."""
 UNLIMITED = 2**62
 """A number of evaluations, or of iterations, that no search reaches."""
@@ -83,7 +83,7 @@ class SearchTask(NamedTuple):
 
     problem: FlatProblem
     rollouts: Rollouts
-    room: Room
+    workspace: Workspace
     settings: PolishSettings
     key: np.uint64
     """Key that determines all random numbers of the search."""
@@ -205,26 +205,26 @@ def search(task, rounds, iterations):
             end = _scatter(task, rounds)
             if end != UNDER_WAY:
                 return end
-            iterations_left -= rounds.scattered_costs.size // task.room.residual.size
+            iterations_left -= rounds.scattered_costs.size // task.workspace.residual.size
         if rounds.polish.evaluations == 0:
-            _take_start(rounds)
+            _load_start(rounds)
         if state.stage == POLISH:
             if state.evaluations + 2 > task.budget:
                 return SPENT
-            done = rounds.polish.iterations
+            iterations_before = rounds.polish.iterations
             is_paused = polish(
                 task.problem,
-                task.room,
+                task.workspace,
                 rounds.signals,
                 task.settings,
                 task.budget - state.evaluations - 1,
                 rounds.merits,
                 rounds.polish,
-                done + max(1, iterations_left),
+                iterations_before + max(1, iterations_left),
             )
             if is_paused:
                 return UNDER_WAY
-            iterations_left -= rounds.polish.iterations - done
+            iterations_left -= rounds.polish.iterations - iterations_before
         end = _end_start(task, rounds)
         iterations_left -= 1
         if end != UNDER_WAY:
@@ -258,10 +258,10 @@ def _scatter(task, rounds):
         return OVER
     if state.evaluations > 0 and state.evaluations + particles > task.budget:
         return SPENT
-    _draw_sequences(task, drawn(task.key, state.rounds_begun), rounds)
+    _draw_sequences(task, random_bits(task.key, state.rounds_begun), rounds)
     if not compute_costs(task.problem, task.rollouts, signals, rounds.scattered_costs):
         return NOT_FINITE
-    count = _sort(rounds.scattered_costs, rounds.order)
+    count = _find_lowest(rounds.scattered_costs, rounds.order)
     for k in range(count):
         for j in range(length):
             rounds.starts[k, j] = signals[j, rounds.order[k]]
@@ -270,7 +270,7 @@ def _scatter(task, rounds):
     state.starts = count
     state.starts_done = 0
     state.evaluations += particles
-    _keep(rounds, rounds.starts[0], rounds.scattered_costs[rounds.order[0]])
+    _keep_if_best(rounds, rounds.starts[0], rounds.scattered_costs[rounds.order[0]])
     return UNDER_WAY
 
 
@@ -286,28 +286,28 @@ def _draw_sequences(task, key, rounds):
     signals = rounds.scattered
     warm = task.warm
     knots, particles = draws.shape
-    bearing = _bearing(task.problem)
+    bearing = _compute_mean_bearing(task.problem)
     for k in range(knots):
         for n in range(particles):
-            draw = drawn(key, k * particles + n) >> S11
-            draws[k, n] = 2 * (np.float64(draw) * 2.0**-53) - 1
+            bits = random_bits(key, k * particles + n) >> FRACTION_SHIFT
+            draws[k, n] = 2 * (np.float64(bits) * 2.0**-53) - 1
     length = signals.shape[0]
-    warmed = 1 if warm.size else 0
+    has_warm_start = 1 if warm.size else 0
     for j in range(length):
-        place = j * (knots - 1) / max(length - 1, 1)  # among the knots
-        below = min(int(place), max(knots - 2, 0))
-        above = min(below + 1, knots - 1)
-        share = place - below
-        middle = warm[j] if warmed else bearing
+        knot_position = j * (knots - 1) / max(length - 1, 1)  # among the knots
+        knot_below = min(int(knot_position), max(knots - 2, 0))
+        knot_above = min(knot_below + 1, knots - 1)
+        fraction = knot_position - knot_below
+        center = warm[j] if has_warm_start else bearing
         for n in range(particles):
-            curve = draws[below, n] * (1 - share) + draws[above, n] * share
-            near_warm = warmed & ~n  # for even n: vector code needs a number
-            u = middle + NEAR_WARM * curve if near_warm else bearing + UPPER * curve
+            curve = draws[knot_below, n] * (1 - fraction) + draws[knot_above, n] * fraction
+            near_warm = has_warm_start & ~n  # for even n: vector code needs a number
+            u = center + NEAR_WARM * curve if near_warm else bearing + UPPER * curve
             signals[j, n] = _wrap(u)
 
 
 @compiled(**PART_FAST)
-def _take_start(rounds):
+def _load_start(rounds):
     """Make the next start the sequence to polish."""
     rounds.polish.iterations = 0
     u = rounds.signals
@@ -323,13 +323,13 @@ def _end_start(task, rounds):
         Whether the search has ended with it: GOOD, NOT_FINITE or UNDER_WAY.
     """
     state = rounds.state
-    cost = judge(task.problem, task.room, rounds.signals)
+    cost = wrap_and_evaluate(task.problem, task.workspace, rounds.signals)
     if not math.isfinite(cost):
         return NOT_FINITE
     state.evaluations += rounds.polish.evaluations + 1
     rounds.polish.evaluations = 0
-    _note_merits(rounds, cost)
-    _keep(rounds, rounds.signals, cost)
+    _append_merits(rounds, cost)
+    _keep_if_best(rounds, rounds.signals, cost)
     if state.stage == WARM:
         state.stage = POLISH
         return UNDER_WAY
@@ -340,7 +340,7 @@ def _end_start(task, rounds):
 
 
 @compiled(**PART_FAST)
-def _note_merits(rounds, cost):
+def _append_merits(rounds, cost):
     """Add the merits of a polish to the history if the polish has found a better sequence.
 
     They are limited to the range between the best cost so far and the new cost.
@@ -348,28 +348,28 @@ def _note_merits(rounds, cost):
     best_cost = rounds.state.best_cost
     if cost < best_cost:
         for z in range(rounds.polish.iterations):
-            _note(rounds, min(max(rounds.merits[z], cost), best_cost))
+            _append_to_history(rounds, min(max(rounds.merits[z], cost), best_cost))
 
 
 @compiled(**PART_FAST)
-def _keep(rounds, u, cost):
+def _keep_if_best(rounds, u, cost):
     """Keep the sequence u (L,) if it costs the least so far, and add its cost to the history."""
     if cost < rounds.state.best_cost:
         rounds.state.best_cost = cost
         for j in range(u.size):
             rounds.best[j] = u[j]
-    _note(rounds, rounds.state.best_cost)
+    _append_to_history(rounds, rounds.state.best_cost)
 
 
 @compiled(**PART_FAST)
-def _note(rounds, cost):
+def _append_to_history(rounds, cost):
     """Append a cost to the history of the search."""
     rounds.history[rounds.state.history_entries] = cost
     rounds.state.history_entries += 1
 
 
 @compiled(**INLINE_FAST)
-def _bearing(problem):
+def _compute_mean_bearing(problem):
     """Compute the mean direction from the robots to their targets [rad]."""
     east = 0.0
     north = 0.0
@@ -380,7 +380,7 @@ def _bearing(problem):
 
 
 @compiled(**PART_FAST)
-def _sort(scattered_costs, order):
+def _find_lowest(scattered_costs, order):
     """Find the K lowest costs, and fill `order` (K,) with their indices in ascending order of cost.
 
     Of equal costs, the first comes first. The function inserts each cost into those already sorted.

@@ -76,14 +76,14 @@ def touches(corners, count, radius, x0, y0, x1, y1):
         x1: x of the segment's end.
         y1: y of the segment's end.
     """
-    reach = radius * radius
+    radius_squared = radius * radius
     inside = False
     ax = corners[count - 1, 0]
     ay = corners[count - 1, 1]
     for k in range(count):
         bx = corners[k, 0]
         by = corners[k, 1]
-        if squared_distance_of_segments(x0, y0, x1, y1, ax, ay, bx, by) <= reach:
+        if squared_distance_of_segments(x0, y0, x1, y1, ax, ay, bx, by) <= radius_squared:
             return True
         inside = inside != ray_crosses(x0, y0, ax, ay, bx, by)
         ax = bx
@@ -92,7 +92,7 @@ def touches(corners, count, radius, x0, y0, x1, y1):
 
 
 @compiled(**INLINE_FAST)
-def nearest(corners, count, radius, x, y):
+def distance_and_normal(corners, count, radius, x, y):
     """Compute the distance of a point to a shape, and the direction in which it grows.
 
     Args:
@@ -107,7 +107,7 @@ def nearest(corners, count, radius, x, y):
         polygon, the vector is the edge's normal.
     """
     inside = False
-    least2 = math.inf
+    min_squared = math.inf
     normal_x = 0.0
     normal_y = 0.0
     out_x = 1.0
@@ -119,16 +119,16 @@ def nearest(corners, count, radius, x, y):
         by = corners[k, 1]
         inside = inside != ray_crosses(x, y, ax, ay, bx, by)
         off_x, off_y = offset_from_segment(x, y, ax, ay, bx, by)
-        if off_x * off_x + off_y * off_y < least2:
-            least2 = off_x * off_x + off_y * off_y
+        if off_x * off_x + off_y * off_y < min_squared:
+            min_squared = off_x * off_x + off_y * off_y
             out_x = off_x
             out_y = off_y
             normal_x = by - ay
             normal_y = ax - bx
         ax = bx
         ay = by
-    away = math.sqrt(least2)
-    if not away > ON_EDGE * (abs(x) + abs(y)):
+    edge_distance = math.sqrt(min_squared)
+    if not edge_distance > ON_EDGE * (abs(x) + abs(y)):
         out_x = normal_x
         out_y = normal_y
         if normal_x == 0.0 and normal_y == 0.0:
@@ -137,7 +137,7 @@ def nearest(corners, count, radius, x, y):
         out_x = -out_x
         out_y = -out_y
     size = math.sqrt(out_x * out_x + out_y * out_y)
-    return (-away if inside else away) - radius, out_x / size, out_y / size
+    return (-edge_distance if inside else edge_distance) - radius, out_x / size, out_y / size
 
 
 class Contacts(NamedTuple):
@@ -203,12 +203,16 @@ def count_hits(problem, x, y, i, contacts):
         half_y = (box_top - box_bottom) * HALF_MORE
         if swept:
             for n in range(particles):
-                hx = (x[i, n] - x0[n]) / 2.0
-                hy = (y[i, n] - y0[n]) / 2.0
-                mx = x0[n] + hx - mid_x
-                my = y0[n] + hy - mid_y
-                off_box = max(abs(mx) - abs(hx) - half_x, abs(my) - abs(hy) - half_y)
-                across = abs(hx * my - hy * mx) - (half_x * abs(hy) + half_y * abs(hx))
+                half_dx = (x[i, n] - x0[n]) / 2.0
+                half_dy = (y[i, n] - y0[n]) / 2.0
+                middle_x = x0[n] + half_dx - mid_x
+                middle_y = y0[n] + half_dy - mid_y
+                off_box = max(
+                    abs(middle_x) - abs(half_dx) - half_x, abs(middle_y) - abs(half_dy) - half_y
+                )
+                across = abs(half_dx * middle_y - half_dy * middle_x) - (
+                    half_x * abs(half_dy) + half_y * abs(half_dx)
+                )
                 box_distance[n] = max(off_box, across)
                 in_box += 1.0 if box_distance[n] <= 0 else 0.0
         else:
@@ -218,59 +222,59 @@ def count_hits(problem, x, y, i, contacts):
         if in_box > 0:
             for n in range(particles):
                 if box_distance[n] <= 0 and clearance[n] > 0:
-                    ax, ay = (x0[n], y0[n]) if swept else (x[i, n], y[i, n])
-                    if touches(corners, count, radius, ax, ay, x[i, n], y[i, n]):
+                    start_x, start_y = (x0[n], y0[n]) if swept else (x[i, n], y[i, n])
+                    if touches(corners, count, radius, start_x, start_y, x[i, n], y[i, n]):
                         clearance[n] = 0.0
     for n in range(particles):
         contacts.hits[i, n] += 1.0 if clearance[n] <= 0 else 0.0
 
 
 @compiled(**PART_FAST)
-def find_deepest(problem, floor, room):
+def find_deepest(problem, floor, workspace):
     """Find each robot's deepest position in each obstacle along a path.
 
     Args:
         problem: The problem, a `FlatProblem`.
         floor: Depth that is reported if no position is deeper [length unit].
-        room: The working arrays. `path` holds the path, `depths` (N, O) and `deepest` (N, O) are
-            filled with the depth and with the index of the first deepest position. `box_depth`
-            is overwritten.
+        workspace: The working arrays. `path` holds the path. `depths` (N, O) is filled with the
+            depth, and `deepest_signal` (N, O) with the index of the first deepest position.
+            `box_depth` is overwritten.
     """
-    length = room.trial.size
+    length = workspace.trial.size
     obstacles = problem.obstacles
     walls = obstacles.walls
     shapes = obstacles.radii.size
     for i in range(len(problem.robots)):
-        x = room.path.x[i]
-        y = room.path.y[i]
+        x = workspace.path.x[i]
+        y = workspace.path.y[i]
         for o in range(shapes):
             corners = obstacles.corners[o]
             count = obstacles.corner_counts[o]
             radius = obstacles.radii[o]
             box_left, box_bottom, box_right, box_top = box(obstacles, o)
-            depth_most = floor
-            deepest = 0
-            for j in range(room.box_depth.size):
+            max_depth = floor
+            deepest_signal = 0
+            for j in range(workspace.box_depth.size):
                 beside = max(box_left - x[j], x[j] - box_right)
-                room.box_depth[j] = -max(beside, max(box_bottom - y[j], y[j] - box_top))
+                workspace.box_depth[j] = -max(beside, max(box_bottom - y[j], y[j] - box_top))
             for j in range(length):
-                if room.box_depth[j] > depth_most:
-                    depth = -nearest(corners, count, radius, x[j], y[j])[0]
-                    if depth > depth_most:
-                        depth_most = depth
-                        deepest = j
-            room.depths[i, o] = depth_most
-            room.deepest[i, o] = deepest
+                if workspace.box_depth[j] > max_depth:
+                    depth = -distance_and_normal(corners, count, radius, x[j], y[j])[0]
+                    if depth > max_depth:
+                        max_depth = depth
+                        deepest_signal = j
+            workspace.depths[i, o] = max_depth
+            workspace.deepest_signal[i, o] = deepest_signal
         for w in range(walls.size):
-            depth_most = floor
-            deepest = 0
+            max_depth = floor
+            deepest_signal = 0
             for j in range(length):
                 depth = -wall_distance(walls, w, x[j], y[j])
-                if depth > depth_most:
-                    depth_most = depth
-                    deepest = j
-            room.depths[i, shapes + w] = depth_most
-            room.deepest[i, shapes + w] = deepest
+                if depth > max_depth:
+                    max_depth = depth
+                    deepest_signal = j
+            workspace.depths[i, shapes + w] = max_depth
+            workspace.deepest_signal[i, shapes + w] = deepest_signal
 
 
 @compiled(**INLINE_FAST)
@@ -308,7 +312,9 @@ def outward(obstacles, o, x, y):
     shapes = obstacles.radii.size
     if o < shapes:
         corners = obstacles.corners[o]
-        _, east, north = nearest(corners, obstacles.corner_counts[o], obstacles.radii[o], x, y)
+        _, east, north = distance_and_normal(
+            corners, obstacles.corner_counts[o], obstacles.radii[o], x, y
+        )
         return east, north
     w = o - shapes
     if w == LEFT:

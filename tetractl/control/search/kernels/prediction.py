@@ -50,19 +50,19 @@ def _predict(u, problem, start, path):
         path[0, i, Y] = start[i, Y]
         path[0, i, HEADING] = start[i, HEADING]
     for j in range(u.size):
-        t = problem.first_period if j == 0 else problem.period
+        seconds = problem.first_period if j == 0 else problem.period
         for i in range(robots):
-            x, y, heading = _moved(problem, i, path[j, i], u[j], t)
+            x, y, heading = _move_robot(problem, i, path[j, i], u[j], seconds)
             path[j + 1, i, X] = x
             path[j + 1, i, Y] = y
             path[j + 1, i, HEADING] = heading
 
 
-def drive(towards: Floats, seconds: Floats, problem: FlatProblem) -> Floats:
+def drive(directions: Floats, seconds: Floats, problem: FlatProblem) -> Floats:
     """Predict the poses of robots that each keep a direction of their own.
 
     Args:
-        towards: Direction of each robot [rad], shape (N,). NaN if a robot stands still.
+        directions: Direction of each robot [rad], shape (N,). NaN if a robot stands still.
         seconds: The times to predict [s], shape (M,).
         problem: The problem, a `FlatProblem`. Robots begin at its poses.
 
@@ -70,24 +70,24 @@ def drive(towards: Floats, seconds: Floats, problem: FlatProblem) -> Floats:
         The poses, shape (M, N, 3).
     """
     path = np.empty((seconds.size, *problem.poses.shape))
-    _drive(towards, seconds, problem, path)
+    _drive(directions, seconds, problem, path)
     return path
 
 
 @compiled(**ENTRY_FAST)
-def _drive(towards, seconds, problem, path):
+def _drive(directions, seconds, problem, path):
     """Predict the `path` of robots that each keep a direction of their own; see `drive`."""
     robots = len(problem.robots)
     for m in range(seconds.size):
         for i in range(robots):
-            x, y, heading = _moved(problem, i, problem.poses[i], towards[i], seconds[m])
+            x, y, heading = _move_robot(problem, i, problem.poses[i], directions[i], seconds[m])
             path[m, i, X] = x
             path[m, i, Y] = y
             path[m, i, HEADING] = heading
 
 
 @compiled(**INLINE_FAST)
-def _moved(problem, i, pose, u, t):
+def _move_robot(problem, i, pose, u, t):
     """Compute the pose of robot i after it has followed the direction u [rad] for t [s].
 
     The robot stands still if u is NaN.
@@ -97,14 +97,16 @@ def _moved(problem, i, pose, u, t):
     heading = pose[HEADING]
     if math.isnan(u):
         return x, y, heading
-    c = problem.bias_cos[i]
-    s = problem.bias_sin[i]
-    cu = cos(u) * c - sin(u) * s
-    su = sin(u) * c + cos(u) * s
+    bias_cos = problem.bias_cos[i]
+    bias_sin = problem.bias_sin[i]
+    direction_cos = cos(u) * bias_cos - sin(u) * bias_sin
+    direction_sin = sin(u) * bias_cos + cos(u) * bias_sin
     robot = robot_of(problem.robots, i)
-    ch = cos(heading)
-    sh = sin(heading)
-    dx, dy, turn = derivatives(problem.rest, ch, sh, cu, su, robot, t)[0]
+    heading_cos = cos(heading)
+    heading_sin = sin(heading)
+    dx, dy, turn = derivatives(
+        problem.later_lanes, heading_cos, heading_sin, direction_cos, direction_sin, robot, t
+    )[0]
     x = x + dx + t * problem.flow[i, X]
     y = y + dy + t * problem.flow[i, Y]
     return x, y, heading + turn
@@ -113,36 +115,36 @@ def _moved(problem, i, pose, u, t):
 @compiled(**ENTRY_FAST)
 def costs_along(problem, path):
     """Compute f of (8) and P of (9) for a predicted path (L + 1, N, 3), the start first."""
-    last = path.shape[0] - 1
-    missed = 0.0
-    touched = 0.0
-    for j in range(last):
-        touched += _number_of_touches(problem, path[j], path[j + 1])
+    last_index = path.shape[0] - 1
+    distance_sum = 0.0
+    n_contacts = 0.0
+    for j in range(last_index):
+        n_contacts += _count_contacts(problem, path[j], path[j + 1])
     for i in range(len(problem.robots)):
-        dx = path[last, i, X] - problem.targets[i, X]
-        dy = path[last, i, Y] - problem.targets[i, Y]
-        missed += math.sqrt(dx * dx + dy * dy)
-    return missed, touched
+        dx = path[last_index, i, X] - problem.targets[i, X]
+        dy = path[last_index, i, Y] - problem.targets[i, Y]
+        distance_sum += math.sqrt(dx * dx + dy * dy)
+    return distance_sum, n_contacts
 
 
 @compiled(**INLINE_FAST)
-def _number_of_touches(problem, before, after):
+def _count_contacts(problem, before, after):
     """Count the contacts of one step: robots in an obstacle, and pairs that are too close.
 
     Both are counted at the poses `after` a signal. If paths are `swept`, a robot also counts if it
     touches an obstacle on its way from its pose `before` the signal.
     """
-    begin = before if problem.swept else after
-    number = 0.0
+    start = before if problem.swept else after
+    n_contacts = 0.0
     for i in range(len(problem.robots)):
         x = after[i, X]
         y = after[i, Y]
-        if crosses(problem.obstacles, begin[i, X], begin[i, Y], x, y):
-            number += 1.0
+        if crosses(problem.obstacles, start[i, X], start[i, Y], x, y):
+            n_contacts += 1.0
         if problem.separation > 0:
             for k in range(i):
                 dx = x - after[k, X]
                 dy = y - after[k, Y]
                 if dx * dx + dy * dy <= problem.separation * problem.separation:
-                    number += 1.0
-    return number
+                    n_contacts += 1.0
+    return n_contacts

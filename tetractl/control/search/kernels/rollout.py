@@ -42,42 +42,42 @@ class Rollouts(NamedTuple):
     """Cosine of each particle's present signal, shape (P,)."""
     sin_u: Floats
     """Sine of each particle's present signal, shape (P,)."""
-    own_cos: Floats
+    biased_cos: Floats
     """Cosine of the direction to which one robot turns, the signal plus its bias, shape (P,)."""
-    own_sin: Floats
-    """Sine of that direction, shape (P,)."""
+    biased_sin: Floats
+    """Sine of the direction to which one robot turns, the signal plus its bias, shape (P,)."""
     contacts: Contacts
     """Working arrays to count what the robots touch, for P paths."""
 
 
 @lru_cache(maxsize=64)
-def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
+def rollouts_of(thread: int, n_robots: int, n_particles: int) -> Rollouts:
     """Allocate the arrays of one thread for a number of robots and of particles.
 
     Args:
         thread: Id of the thread.
-        robots: Number of robots.
-        particles: Number of particles.
+        n_robots: Number of robots.
+        n_particles: Number of particles.
     """
-    x, y, cos, sin, hits = _aligned((5, robots, particles))
-    cos_u, sin_u, own_cos, own_sin, *of_contacts = _aligned((8, particles))
-    contacts = Contacts(hits, *of_contacts)
-    return Rollouts(x, y, cos, sin, cos_u, sin_u, own_cos, own_sin, contacts)
+    x, y, cos, sin, hits = _allocate_aligned((5, n_robots, n_particles))
+    cos_u, sin_u, biased_cos, biased_sin, *contact_arrays = _allocate_aligned((8, n_particles))
+    contacts = Contacts(hits, *contact_arrays)
+    return Rollouts(x, y, cos, sin, cos_u, sin_u, biased_cos, biased_sin, contacts)
 
 
-def _aligned(shape: tuple[int, ...]) -> Floats:
+def _allocate_aligned(shape: tuple[int, ...]) -> Floats:
     """Allocate an array that begins at a cache line.
 
     A vector across two lines takes twice the time.
     """
     size = math.prod(shape)
-    raw = np.empty(size + VECTOR_SIZE)
-    first = -raw.ctypes.data // raw.itemsize % VECTOR_SIZE
-    return raw[first : first + size].reshape(shape)
+    buffer = np.empty(size + VECTOR_SIZE)
+    start = -buffer.ctypes.data // buffer.itemsize % VECTOR_SIZE
+    return buffer[start : start + size].reshape(shape)
 
 
 @compiled(**ENTRY_FAST)
-def costs(problem, rollouts, signals, total):
+def costs(problem, rollouts, signals, particle_costs):
     """Compute the cost J of many sequences of signals, called from Python.
 
     Kernels call `compute_costs`. If they called this function, it would be optimised twice.
@@ -86,16 +86,16 @@ def costs(problem, rollouts, signals, total):
         problem: The problem, a `FlatProblem`.
         rollouts: The working arrays.
         signals: The sequences [rad], one per column, shape (L, P).
-        total: Filled with J of each sequence, shape (P,).
+        particle_costs: Filled with J of each sequence, shape (P,).
 
     Returns:
         Whether all costs are finite.
     """
-    return compute_costs(problem, rollouts, signals, total)
+    return compute_costs(problem, rollouts, signals, particle_costs)
 
 
 @compiled(**PART_FAST)
-def compute_costs(problem, rollouts, signals, total):
+def compute_costs(problem, rollouts, signals, particle_costs):
     """Compute the cost J of many sequences of signals, as a part of a kernel.
 
     Arrays are taken out of the problem and the rollouts before the loops, because inside them each
@@ -105,14 +105,14 @@ def compute_costs(problem, rollouts, signals, total):
         problem: The problem, a `FlatProblem`.
         rollouts: The working arrays.
         signals: The sequences [rad], one per column, shape (L, P).
-        total: Filled with J of each sequence, shape (P,).
+        particle_costs: Filled with J of each sequence, shape (P,).
 
     Returns:
         Whether all costs are finite.
     """
     robots = problem.robots
-    first = problem.first
-    rest = problem.rest
+    first_lanes = problem.first_lanes
+    later_lanes = problem.later_lanes
     x = rollouts.x
     y = rollouts.y
     cos = rollouts.cos
@@ -120,45 +120,45 @@ def compute_costs(problem, rollouts, signals, total):
     hits = rollouts.contacts.hits
     cos_u = rollouts.cos_u
     sin_u = rollouts.sin_u
-    to_cos = rollouts.own_cos if problem.drifts else cos_u
-    to_sin = rollouts.own_sin if problem.drifts else sin_u
+    direction_cos = rollouts.biased_cos if problem.drifts else cos_u
+    direction_sin = rollouts.biased_sin if problem.drifts else sin_u
     x_before = rollouts.contacts.x_before
     y_before = rollouts.contacts.y_before
     for i in range(len(robots)):
-        for n in range(total.size):
+        for n in range(particle_costs.size):
             x[i, n] = problem.poses[i, 0]
             y[i, n] = problem.poses[i, 1]
             cos[i, n] = problem.cos[i]
             sin[i, n] = problem.sin[i]
             hits[i, n] = 0.0
     for j in range(signals.shape[0]):
-        lanes = first if j == 0 else rest
+        lanes = first_lanes if j == 0 else later_lanes
         seconds = problem.first_period if j == 0 else problem.period
-        for n in range(total.size):
+        for n in range(particle_costs.size):
             sin_u[n], cos_u[n] = _sincos(signals[j, n])
         for i in range(len(robots)):
             if problem.swept:
-                for n in range(total.size):
+                for n in range(particle_costs.size):
                     x_before[n] = x[i, n]
                     y_before[n] = y[i, n]
             robot = robot_of(robots, i)
             if problem.drifts:
-                c = problem.bias_cos[i]
-                s = problem.bias_sin[i]
-                for n in range(total.size):
-                    to_cos[n] = cos_u[n] * c - sin_u[n] * s
-                    to_sin[n] = sin_u[n] * c + cos_u[n] * s
-            advance(lanes, x, y, cos, sin, to_cos, to_sin, i, robot, seconds)
+                bias_cos = problem.bias_cos[i]
+                bias_sin = problem.bias_sin[i]
+                for n in range(particle_costs.size):
+                    direction_cos[n] = cos_u[n] * bias_cos - sin_u[n] * bias_sin
+                    direction_sin[n] = sin_u[n] * bias_cos + cos_u[n] * bias_sin
+            advance(lanes, x, y, cos, sin, direction_cos, direction_sin, i, robot, seconds)
             if problem.drifts:
                 dx = problem.flow[i, 0] * seconds
                 dy = problem.flow[i, 1] * seconds
-                for n in range(total.size):
+                for n in range(particle_costs.size):
                     x[i, n] = x[i, n] + dx
                     y[i, n] = y[i, n] + dy
             count_hits(problem, x, y, i, rollouts.contacts)
         if problem.separation > 0:
             count_meetings(x, y, problem.separation, hits)
-    return _add_up(problem, rollouts, total)
+    return _sum_costs(problem, rollouts, particle_costs)
 
 
 @compiled(**PART_FAST)
@@ -172,32 +172,32 @@ def count_meetings(x, y, separation, hits):
         hits: Changed in place, shape (N, P): for each robot k < i whose distance from robot i is
             at most the separation, 1 is added to hits[i, n].
     """
-    least = separation * separation
+    separation_squared = separation * separation
     for i in range(x.shape[0]):
         for k in range(i):
             for n in range(x.shape[1]):
                 dx = x[i, n] - x[k, n]
                 dy = y[i, n] - y[k, n]
-                hits[i, n] += 1.0 if dx * dx + dy * dy <= least else 0.0
+                hits[i, n] += 1.0 if dx * dx + dy * dy <= separation_squared else 0.0
 
 
 @compiled(**INLINE_FAST)
-def _add_up(problem, rollouts, total):
+def _sum_costs(problem, rollouts, particle_costs):
     """Compute the cost J of each particle from f and P by (7). Return whether all are finite."""
     x = rollouts.x
     y = rollouts.y
     hits = rollouts.contacts.hits
     weight = problem.obstacle_weight
-    for n in range(total.size):
-        total[n] = 0.0
+    for n in range(particle_costs.size):
+        particle_costs[n] = 0.0
     for i in range(len(problem.robots)):
         target_x = problem.targets[i, 0]
         target_y = problem.targets[i, 1]
-        for n in range(total.size):
+        for n in range(particle_costs.size):
             dx = x[i, n] - target_x
             dy = y[i, n] - target_y
-            total[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]  # (8), (9)
-    finite = True
-    for n in range(total.size):
-        finite &= math.isfinite(total[n])
-    return finite
+            particle_costs[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]  # (8), (9)
+    all_finite = True
+    for n in range(particle_costs.size):
+        all_finite &= math.isfinite(particle_costs[n])
+    return all_finite

@@ -19,7 +19,7 @@ LOW_31 = np.uint64(0x7FFF_FFFF)  # mask of the lower 31 bits
 
 
 @compiled(**INLINE_FAST)
-def drawn(key, index):
+def random_bits(key, index):
     """Return the 64 random bits that belong to a key and an index, as `rng.mix` does."""
     z = key + np.uint64(index + 1) * STEP
     z = (z ^ (z >> S30)) * MIX_1
@@ -50,9 +50,9 @@ def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
     c2 = social * 2.0**-31
     for j in range(length):
         for n in range(particles):
-            draw = drawn(key, (z * length + j) * particles + n)
-            r1 = float(np.int32(draw >> S33))
-            r2 = float(np.int32(draw & LOW_31))
+            bits = random_bits(key, (z * length + j) * particles + n)
+            r1 = float(np.int32(bits >> S33))
+            r2 = float(np.int32(bits & LOW_31))
             to_own_best = c1 * r1 * (u_lb[j, n] - u[j, n])
             to_common_best = c2 * r2 * (u_gb[j] - u[j, n])
             velocity = inertia * v[j, n] + to_own_best + to_common_best  # (14)

@@ -122,7 +122,7 @@ class Multistart(OptimizerSection):
         task = multistart.SearchTask(
             problem=motion.flatten(problem),
             rollouts=rollout.rollouts_of(get_ident(), problem.a.size, self.particles),
-            room=levenberg.room_for(problem, length),
+            workspace=levenberg.workspace_for(problem, length),
             settings=settings,
             key=np.uint64(key),
             warm=np.empty(0) if warm is None else warm,
@@ -134,8 +134,8 @@ class Multistart(OptimizerSection):
         else:
             rounds.begin(multistart.WARM, warm[None])
         if limits.timed:
-            robot_steps = len(task.room.residual) * length * problem.a.size
-            iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
+            robot_steps = len(task.workspace.residual) * length * problem.a.size
+            iterations = max(1, multistart.ROBOT_STEPS_PER_CHECK // robot_steps)
             stop_reason = _search_until_deadline(task, rounds, iterations, limits)
         else:
             stop_reason = _stop_reason(multistart.search(task, rounds, multistart.UNLIMITED))

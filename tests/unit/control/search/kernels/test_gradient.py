@@ -23,14 +23,14 @@ def trace(*args):
 
 @compiled()
 def backward(*args):
-    gradient.backward(*args)
+    gradient.backpropagate(*args)
 
 
 MODELS = st.sampled_from(["euler", "exact"])
 
 
 def traced(problem, signals):
-    path = Trace.room_for(len(problem.a), len(signals))
+    path = Trace.allocate(len(problem.a), len(signals))
     trace(signals, flatten(problem), path)
     return path
 
@@ -99,6 +99,6 @@ def test_a_robot_along_or_against_the_direction_has_a_finite_gradient(model, hea
         found.y_by_heading,
         found.x_by_u,
         found.y_by_u,
-        found.keep,
+        found.heading_kept,
     ):
         assert np.isfinite(slope).all()

@@ -18,7 +18,7 @@ from tetractl.control.search.kernels.levenberg import (
     DEPTH_WEIGHT,
     PROGRESS,
     PolishSettings,
-    room_for,
+    workspace_for,
 )
 from tetractl.control.search.kernels.motion import flatten
 from tetractl.control.search.kernels.rollout import rollouts_of
@@ -39,7 +39,7 @@ def compiled(problem, start, iterations, budget=2**62, patience=PATIENCE):
     task = kernel.SearchTask(
         problem=flatten(problem),
         rollouts=rollouts_of(0, len(problem.a), 1),
-        room=room_for(problem, len(start)),
+        workspace=workspace_for(problem, len(start)),
         settings=PolishSettings(TOLERANCE, SLACK, patience, iterations),
         key=np.uint64(0),
         warm=np.empty(0),
@@ -66,9 +66,9 @@ def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):
 @kernels.compiled()
 def slopes(problem, room, signals):
     trace(signals, problem, room.path)
-    levenberg.measure(problem, room, SLACK)
+    levenberg.compute_merit(problem, room, SLACK)
     residuals = levenberg.linearise(problem, room, 1e-9, SLACK)
-    return room.rows[:residuals].T @ room.residual[:residuals]
+    return room.jacobian[:residuals].T @ room.residual[:residuals]
 
 
 def random_start(seed, length):
@@ -85,7 +85,7 @@ def test_the_jacobian_and_the_residuals_slope_as_what_they_are_made_of(seed, sep
     signals = random_start(seed, 12)
     step = 1e-5
     toward = np.random.default_rng(seed).normal(size=12)
-    slope = slopes(flatten(problem), room_for(problem, 12), signals) @ toward
+    slope = slopes(flatten(problem), workspace_for(problem, 12), signals) @ toward
     ahead = merit(problem, signals + step * toward, DEPTH_WEIGHT**2, SLACK)
     behind = merit(problem, signals - step * toward, DEPTH_WEIGHT**2, SLACK)
     assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-2)

@@ -11,7 +11,7 @@ from testkit.curves import bearing, interpolate
 
 from tetractl.control.search.cost import evaluate
 from tetractl.control.search.kernels import multistart as kernel
-from tetractl.control.search.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.search.kernels.levenberg import PolishSettings, workspace_for
 from tetractl.control.search.kernels.motion import flatten
 from tetractl.control.search.kernels.multistart import (
     NEAR_WARM,
@@ -56,7 +56,7 @@ def searched(
     task = SearchTask(
         problem=flatten(problem),
         rollouts=rollouts_of(0, len(problem.a), particles),
-        room=room_for(problem, length),
+        workspace=workspace_for(problem, length),
         settings=PolishSettings(tolerance, SLACK, PATIENCE, STEPS),
         key=np.uint64(key),
         warm=warm,

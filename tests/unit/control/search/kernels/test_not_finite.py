@@ -22,7 +22,7 @@ from tetractl.control.estimation.kernels.filter_state import (
     SentCommands,
 )
 from tetractl.control.search.kernels import multistart
-from tetractl.control.search.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.search.kernels.levenberg import PolishSettings, workspace_for
 from tetractl.control.search.kernels.motion import flatten
 from tetractl.control.search.kernels.rollout import rollouts_of
 from tetractl.model.motion.motion import PARAMETERS
@@ -79,7 +79,7 @@ def test_the_polish_ends(odd, place):
     task = multistart.SearchTask(
         problem=flatten(problem),
         rollouts=rollouts_of(0, len(problem.a), 1),
-        room=room_for(problem, len(start)),
+        workspace=workspace_for(problem, len(start)),
         settings=PolishSettings(1e-3, 0.5, 6, 50),
         key=np.uint64(0),
         warm=np.empty(0),

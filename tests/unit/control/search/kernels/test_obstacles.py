@@ -14,7 +14,7 @@ from testkit import problems
 from testkit.shapes import GRID, L_SHAPE, SHAPES, circles, rectangles
 
 from tetractl.control.search.kernels import obstacles as kernels
-from tetractl.control.search.kernels.levenberg import room_for
+from tetractl.control.search.kernels.levenberg import workspace_for
 from tetractl.control.search.kernels.motion import flatten
 from tetractl.control.search.kernels.obstacles import arrays_of
 from tetractl.control.search.kernels.rollout import rollouts_of
@@ -81,7 +81,7 @@ def test_a_robot_is_hit_where_the_readable_region_says_so(region, moves, swept):
 @given(REGIONS, st.lists(POINTS, min_size=1, max_size=9), st.sampled_from([0.5, 2.0]))
 def test_the_deepest_position_in_each_obstacle_is_found(region, points, slack):
     problem = problem_in(region)
-    room = room_for(problem, len(points))
+    room = workspace_for(problem, len(points))
     x, y = np.array(points).T
     width = room.path.x.shape[1]
     room.path.x[:], room.path.y[:] = 0.0, 0.0  # what is beyond the last signal has no meaning
@@ -95,7 +95,9 @@ def test_the_deepest_position_in_each_obstacle_is_found(region, points, slack):
         for robot, of_robot in ((0, depths[o]), (1, depths[o][::-1])):
             assert room.depths[robot, o] == pytest.approx(max(deepest, -slack), abs=1e-12)
             if deepest > -slack:
-                assert room.deepest[robot, o] == np.argmax(of_robot)  # the first of equal ones
+                assert room.deepest_signal[robot, o] == np.argmax(
+                    of_robot
+                )  # the first of equal ones
 
 
 @given(rectangles() | circles(), st.sampled_from([0.0, 0.25, 1.0]), POINTS)

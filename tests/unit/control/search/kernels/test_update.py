@@ -18,7 +18,7 @@ KEYS = st.integers(0, 2**64 - 1)
 
 @compiled()
 def drawn(key, index):
-    return update.drawn(key, index)
+    return update.random_bits(key, index)
 
 
 @given(KEYS, st.integers(0, 2**40))

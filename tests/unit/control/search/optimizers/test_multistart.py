@@ -45,7 +45,7 @@ def test_looks_at_the_deadline_change_no_bit(steps, seed, length, warmed):
     warm = np.random.default_rng(seed).uniform(-3, 3, length) if warmed else None
     result = spec.search(problem, length, warm, seed, Limits())
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("tetractl.control.search.kernels.multistart.BETWEEN_LOOKS", steps)
+        patched.setattr("tetractl.control.search.kernels.multistart.ROBOT_STEPS_PER_CHECK", steps)
         looked = spec.search(problem, length, warm, seed, Limits(expired=lambda _: False))
     assert looked.history.tobytes() == result.history.tobytes()
     assert looked.signals.tobytes() == result.signals.tobytes()
@@ -66,7 +66,7 @@ def test_a_search_that_was_cut_short_comes_out_again(tolerance, looks, seed, war
     warm = np.random.default_rng(seed).uniform(-3, 3, 20) if warmed else None
     answers = iter([False] * looks)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("tetractl.control.search.kernels.multistart.BETWEEN_LOOKS", 500)
+        patched.setattr("tetractl.control.search.kernels.multistart.ROBOT_STEPS_PER_CHECK", 500)
         late = Limits(expired=lambda _: next(answers, True))
         result = spec.search(problem, 20, warm, seed, late)
         most = result.evaluations if result.stopped == "deadline" else math.inf

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from tetractl.control.search.cost import evaluate, predict
 from tetractl.control.search.evaluate import compiled_costs
-from tetractl.control.search.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.search.kernels.levenberg import PolishSettings, workspace_for
 from tetractl.control.search.kernels.motion import flatten
 from tetractl.control.search.kernels.multistart import (
     POLISH,
@@ -44,7 +44,7 @@ compiled = compiled_costs(problem, 200)(np.ascontiguousarray(signals.T))
 start = np.zeros(24)
 found = rounds_for(0, 1, 1, 1, 24, 5, 0)
 found.begin(POLISH, start[None])
-rooms = rollouts_of(0, 1, 1), room_for(problem, 24)
+rooms = rollouts_of(0, 1, 1), workspace_for(problem, 24)
 settings = PolishSettings(1e-3, 0.5, 6, 5)
 key, warm, rounds = np.uint64(0), np.empty(0), 0
 task = SearchTask(flatten(problem), *rooms, settings, key, warm, rounds, UNLIMITED)

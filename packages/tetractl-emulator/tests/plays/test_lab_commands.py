@@ -161,7 +161,7 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
 
     log = ("rerun", "first/trial-000.mcap", "--out")
     again = run(*log, "simulated").ok()
-    assert "the log comes from the lab, but the new one from a simulation" in again.stderr
+    assert "the log comes from the lab, but the new log comes from a simulation" in again.stderr
     assert read_trial(tmp_path / "simulated" / "trial-000.mcap").start.plant.simulated
     refused = run(*log, "lab", "--plant", "lab")
     assert (refused.returncode, refused.stdout) == (2, "")

@@ -87,6 +87,6 @@ def test_a_lab_cannot_switch_its_field_off():
     sets = ["controller={type: ensemble}"]
     spec = load_spec(ROOT / "experiments/three_m3pi_lab.yaml", sets)  # as a simulation
     with pytest.raises(
-        SpecError, match="cannot switch off the field, as the controller ensemble does"
+        SpecError, match="cannot switch off the field, but the controller ensemble does so"
     ):
         select_plant(spec, "lab")

@@ -1,4 +1,4 @@
-"""Other people's optimisers on our problems, each with the best settings that we found.
+"""Optimisers of other libraries for our planning problems, with the best settings that we found.
 
 All except IPOPT evaluate J with our compiled kernel, so that only the search is compared. Each
 optimiser restarts when it gets stuck, until J <= GOOD_COST_MM or the time is over.

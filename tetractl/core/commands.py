@@ -72,7 +72,7 @@ class Command:
     def direction(self) -> float | None:
         """The common direction u in which the robots drive [rad].
 
-        None if the action is a turn, a stop or a field that is off.
+        None if the robots turn on the spot or stop, or if the field is off.
         """
         return self.action.direction if isinstance(self.action, Steer) else None
 

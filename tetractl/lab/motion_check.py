@@ -509,7 +509,8 @@ def compute_excess(motion: Floats, slack: Floats, mm_per_unit: float, robot: int
 
     Args:
         motion: The motion and its bounds, shape (3, 3).
-        slack: How much a part may exceed its bounds, shape (3,). Parts are compared by it.
+        slack: How much a part may exceed its bounds, shape (3,). The excess of
+            each part is divided by its slack, so that the parts can be compared.
         mm_per_unit: Millimetres per length unit.
         robot: Index of the robot.
     """

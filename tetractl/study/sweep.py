@@ -77,9 +77,9 @@ class Points(Sweep):
     """The points, each a mapping of paths, such as `plant.dead_time`, to values."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the combinations of values that the study lists, in their order.
+        """Return the combinations of values in the order in which the study lists them.
 
-        `rng` is unused.
+        `rng` is unused, because nothing is random here.
         """
         points: list[Mapping[str, Setting]] = []
         for i, point in enumerate(self.points):

@@ -205,11 +205,11 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
     Args:
         path: The file.
         formats: The possible formats.
-        what: What is written to it, for the message.
+        what: The kind of contents, such as "picture", which the error message names.
 
     Raises:
-        UsageError: If the ending is another one, if the file's folder does not exist, or if the
-            path is a folder.
+        UsageError: If the ending is none of `formats`, if the file's folder does not exist, or if
+            the path is a folder.
     """
     format_name = path.suffix.lower().removeprefix(".")
     if format_name not in formats:

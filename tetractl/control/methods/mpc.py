@@ -331,8 +331,8 @@ class Mpc:
     ) -> Leg:
         """Create a leg: its targets, margins and obstacles, for the robots that are not lost.
 
-        Lost robots on wheels become obstacles at their `poses`. The times and the `outcome` of the
-        previous leg are only recorded.
+        Lost robots on wheels become obstacles at their `poses`. The times, and the `outcome` of the
+        previous leg, are recorded but change nothing.
         """
         present = self.estimator.present
         collision = self.section.collision

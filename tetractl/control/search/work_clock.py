@@ -42,7 +42,10 @@ class _ClockedOptimizer:
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search, and advance the clock before each check of the deadline; see `Optimizer`."""
+        """Search with the wrapped optimiser; see `Optimizer`.
+
+        Before each check of the deadline, the clock advances by the work done.
+        """
         start_ns = self.clock.now_ns + SEARCH_NS
         evaluation_ns = ROBOT_STEP_NS * length * problem.a.size
 

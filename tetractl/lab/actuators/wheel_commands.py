@@ -129,7 +129,8 @@ def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
 
     Args:
         setup: The constants of the experiment, with the distance for all robots.
-        stated_mm: Own distance of each robot [mm], N entries. None if the robot has none.
+        stated_mm: The distance that the spec states for each robot [mm], N entries. None for a
+            robot without such a value.
 
     Returns:
         The distances. NaN for a robot without a distance of its own, if the setup has none either.

@@ -375,7 +375,7 @@ class LabView(LiveView):
         self._show_lines()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Close the live view, and print the notes and the trial's line, if it has a result."""
+        """Close the live view and print the notes. Also print the result, if the trial has one."""
         super().trial_ended(ending)
         self._show_lines()
         if ending.result:

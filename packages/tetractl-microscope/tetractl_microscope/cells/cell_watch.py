@@ -35,7 +35,8 @@ class CellWatch:
 
     Args:
         camera: The camera of the cells.
-        waiting: The identities of each image, which the camera adds.
+        waiting: The cells' identities in images that are not checked yet. The camera adds those of
+            each image.
         setup: The constants of the experiment.
         patience_s: Time for which an identity may be unknown [s].
     """

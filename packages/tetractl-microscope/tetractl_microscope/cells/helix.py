@@ -268,7 +268,7 @@ class HelixFilter:
             self.covariances[row, :RATE, :RATE] += self._new_cell.covariance[:RATE, :RATE]
 
     def predict_bodies(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Predict where the bodies of some cells are measured.
+        """Predict the positions and axes of some cells' bodies, as the camera will measure them.
 
         Args:
             rows: Rows of the cells, shape (M,).

@@ -57,9 +57,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {patience_s:g} s it has been uncertain which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Forget the identity of the robot with index `i`, which is now another cell.
-
-        It then no longer counts as unknown.
-        """
+        """Forget that the identity of robot `i` was unknown: another cell is now this robot."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

@@ -76,7 +76,7 @@ def share(bank: Bank, common: CommonTimes) -> None:
 
     Args:
         bank: The filters. Its `shared_score` is filled, from its `score`.
-        common: The `CommonTimes` that the robots may share.
+        common: The `CommonTimes`: the dead times that all robots may have in common.
     """
     filters, robots = bank.score.shape
     _share(bank, common, np.empty((common.ln_prior.size, robots)), np.empty(filters))
@@ -89,7 +89,8 @@ def _share(bank, common, ln_of_others, density):
     Args:
         bank: The filters.
         common: The `CommonTimes`.
-        ln_of_others: A working array: ln of what the other robots tell of each time, shape (T, N).
+        ln_of_others: A working array for the ln likelihood of each dead time, given the frames of
+            the other robots, shape (T, N).
         density: A working array, shape (B,).
     """
     filters, robots = bank.score.shape

@@ -51,7 +51,7 @@ def test_a_study_is_checked_previewed_and_run_from_python_alike(
     write(tmp_path)
     assert "study.yaml: ok: study" in tetractl("validate", "study.yaml", cwd=tmp_path).ok().stdout
     dry = study("study.yaml", "--out", "again", "--dry-run", cwd=tmp_path).ok().stdout
-    assert "40 of 40 trials into again" in dry
+    assert "40 of 40 trials to again" in dry
     assert "few-dead_time=0.1-a=3" in dry and not (tmp_path / "again").exists()
     monkeypatch.chdir(tmp_path)
     batches = run_study("study.yaml", "again")

@@ -246,7 +246,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
     def compare(k, estimator, plant):
         if k > 4:
             held = estimator.filter.forecast(0).directions
-            truly_held = plant.drive.held.direction
+            truly_held = plant.drive.held_commands.direction
             right.append(np.abs(held - truly_held) < 1e-9)
 
     drive(settings, 40, 2, watch=compare)

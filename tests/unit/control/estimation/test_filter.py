@@ -271,7 +271,7 @@ def test_a_radio_that_lets_one_direction_in_four_through_is_noticed_within_four_
 def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     off = "plant.disturbances=[{type: marker-off, heading: 0.1}]"
     estimate, plant, estimator = drive([*NOISY, off, "plant.dead_time=0.1"], 10)
-    sides = plant.disturbances[0].offsets
+    sides = plant.disturbances[0].offsets_rad
     assert estimate.heading_bias == pytest.approx(sides, abs=0.03)
     state = likely(estimator.filter)
     assert state[:, TURN_BIAS] == pytest.approx([0.0] * 3, abs=0.03)

@@ -180,7 +180,7 @@ def test_what_a_calibration_has_measured_is_written_to_the_fields():
         "right": {"gain_mm": 2.2, "dead_zone": 5, "invert": False},
         "swap": True,
     }
-    assert str(FOUND).endswith("right 2.20 above 5")
+    assert str(FOUND).endswith("right wheel 2.20 mm/s per count above 5")
     assert str(replace(FOUND, swap=True)).endswith("swapped")
 
 

@@ -234,7 +234,10 @@ def test_the_note_states_the_dead_time_and_how_old_frames_are():
 
 def test_the_note_names_the_robots_that_the_model_does_not_fit():
     (table,) = tables(identification_of(ODD_SPEED, identified_robot("fits"), ODD_HEADING))
-    assert "the model does not fit one (along the path); two (heading): the speed or" in table.note
+    assert (
+        "the model does not fit one (along the path); two (heading): the speed or the turning of "
+        "these robots varies within seconds" in table.note
+    )
     assert "the model fits" not in table.note
     assert "frames are" not in table.note  # nobody knows
 

@@ -324,8 +324,7 @@ def test_robots_are_waited_for_while_somebody_places_them(metres):
 
     lab.supervision.prompt = person = Person(place, 7)
     info = lab.plant.open()
-    (line,) = person.shown[0][0]
-    assert line.startswith("blue is 120 mm from its start (at most ")
+    assert person.shown[0][0] == ("blue is 120 mm from its start (at most 50 mm are allowed)",)
     assert person.shown[-1][0] == ()
     assert info.facts["camera"] == "fake"
     assert info.facts["latency_ms"] == "5.00"

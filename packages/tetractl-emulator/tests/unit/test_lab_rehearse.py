@@ -4,6 +4,7 @@ from itertools import count
 from types import SimpleNamespace
 
 import pytest
+import yaml
 from testkit.cli import tetractl
 from testkit.emulator.lab_processes import SPEC
 from testkit.emulator.made_days import at
@@ -224,7 +225,8 @@ def test_only_a_day_that_violates_an_invariant_leaves_a_script(monkeypatch, tmp_
     assert row["violations"]
     (script,) = tmp_path.iterdir()
     assert script.name == "seed-5-day-9.yaml"
-    assert f"seed 5, day 9: {row['violations'][0][0]}; the trial" in script.read_text()
+    about = yaml.safe_load(script.read_text())["about"]
+    assert about == f"seed 5, day 9: {row['violations'][0][0]}; the trial's seed is 77"
     assert "time_limit=4" in script.read_text()
     rehearse_day(SPEC, (), 5, 10)  # without a folder
     MadeDay(monkeypatch, 1, "")

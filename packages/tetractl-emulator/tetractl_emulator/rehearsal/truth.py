@@ -583,7 +583,7 @@ class Truth:
         Empty if it named none.
         """
         named = re.findall(
-            r"(?:robots? still moves?|robots? stand still): ([^:;\n]*):", self.day.output
+            r"th(?:is|ese) robots? (?:still moves?|stand still): ([^:;\n]*):", self.day.output
         )
         if "the cameras do not show that the robots stand" in self.day.output:
             named.append(", ".join(self.setup.names))

@@ -33,9 +33,9 @@ WATCHDOG_S = 0.25
 places = st.floats(-50, 50)
 
 
-def truth_of(events, faults=()):
+def truth_of(events, faults=(), output=""):
     plan = DayPlan(1, {"actuator": {}}, [dict(fault) for fault in faults])
-    outcome = DayOutcome(plan, sorted(events, key=lambda e: e["t_ns"]), 0, "", None, "", 1.0)
+    outcome = DayOutcome(plan, sorted(events, key=lambda e: e["t_ns"]), 0, output, None, "", 1.0)
     return Truth(outcome, SETUP, LabLimits(), WATCHDOG_S)
 
 
@@ -46,6 +46,20 @@ def exposure(seconds, **facts):
 
 def guard(seconds, state):
     return at(seconds, "guard", state=state)
+
+
+@pytest.mark.parametrize(
+    ("output", "names"),
+    [
+        ("error: a fault; this robot still moves: green: switch it off", {"green"}),
+        ("error: these robots still move: green, red: switch them off", {"green", "red"}),
+        ("error: the camera has not seen this robot stand still: red: look at it", {"red"}),
+        ("the cameras do not show that the robots stand still: late: red", set(SETUP.names)),
+        ("green stands still although it is sent a direction", set()),
+    ],
+)
+def test_the_robots_that_a_run_names_at_its_end_are_known(output, names):
+    assert truth_of([], output=output).robots_named_at_end == names
 
 
 CORNERS = {

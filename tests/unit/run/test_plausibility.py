@@ -56,7 +56,7 @@ wheels.radius <- units.length=cm
 robots.1.a <- robots.blue.a=6
   blue turns at the same rate as green .* cannot fall below 575.6 mm | turning rates a
 robots.1.a <- robots.blue.a=5.9
-  blue and green differ by only 1.7 % in turning rate a and 0 rad .* 575.6 mm | turning rates a
+  blue and green differ by only 1.7 % in turning rate a and 0 rad .* below 575.6 mm | rates a
 robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
   0 % in turning rate a and 0.04 rad in start heading | turning rates a
 robots <- robots.blue.a=6
@@ -76,7 +76,7 @@ robots.1.target <- WALL
 robots.1.target <- GAP; NEAR
   be reached by a path that keeps 20 mm .* within 51\d | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR; controller.collision.margin=5; FIXED
-  is 20 mm from the nearest obstacle or wall, but .* keep a distance of 25 mm | margin
+  is 20 mm from the .* or wall, but the controller's plans keep a distance of 25 mm | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR
   leaves only 0 mm of free space .* drives 40 mm in a control period | move the target
 robots.1.target <- robots.blue.target=[2075, 1500]; controller.period=0.05; NEAR
